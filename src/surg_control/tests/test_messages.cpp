@@ -88,9 +88,9 @@ TEST(Messages, SizesAndNames) {
   EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
   joints.name = {"yaw", "pitch", "insertion", "roll"};
   EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kNone);
-  EXPECT_EQ(decode_jaw(joints, surg::Motion::kJawServoJp).reason, surg::Reason::kWrongSize);
+  EXPECT_EQ(decode_angle(joints, surg::Motion::kJawServoJp).reason, surg::Reason::kWrongSize);
   joints.position = {0.5};
-  EXPECT_EQ(decode_jaw(joints, surg::Motion::kJawServoJp).item.motion.jaw, 0.5);
+  EXPECT_EQ(decode_angle(joints, surg::Motion::kJawServoJp).item.motion.jaw, 0.5);
 }
 
 TEST(Messages, StateWords) {

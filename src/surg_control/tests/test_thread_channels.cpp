@@ -53,23 +53,6 @@ TEST(Handover, RingBetweenThreads) {
   producer.join();
 }
 
-TEST(Handover, LatestIsNeverTornAndNeverGoesBack) {
-  constexpr std::uint64_t kCount = 100000;
-  LatestBox<Pair> box;
-  std::thread producer([&box] {
-    for (std::uint64_t i = 1; i <= kCount; ++i) box.put({i, 3 * i});
-  });
-  Pair pair;
-  std::uint64_t last = 0;
-  while (last < kCount) {
-    if (!box.try_get(pair)) continue;
-    ASSERT_EQ(pair.b, 3 * pair.a);
-    ASSERT_GE(pair.a, last);
-    last = pair.a;
-  }
-  producer.join();
-}
-
 TEST(Handover, ASlotNeverWaitsIsNeverTornAndNeverGoesBack) {
   constexpr std::uint64_t kCount = 200000;
   LatestSlot<Pair> slot;

@@ -6,18 +6,14 @@
 #include <cmath>
 #include <sstream>
 
+#include "surg_control/topics/decode.hpp"
+
 namespace surg_control {
 namespace {
 
 const std::vector<std::string> kNames{"arm",          "black_box", "cell",     "feedback_gain",
                                       "law",          "link",      "mode",     "others",
                                       "participants", "realtime",  "track_rcm"};
-
-std::string join(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
 
 [[noreturn]] void refuse(const std::string& name, const std::string& is,
                          const std::string& allowed) {
@@ -33,7 +29,7 @@ void refuse_unknown(const ros::NodeHandle& node) {
     const std::string rest = full.substr(prefix.size());
     const std::string name = rest.substr(0, rest.find('/'));
     if (std::find(kNames.begin(), kNames.end(), name) == kNames.end()) {
-      throw surg::ConfigError("unknown parameter ~" + name + "; allowed: " + join(kNames));
+      throw surg::ConfigError("unknown parameter ~" + name + "; allowed: " + listed(kNames));
     }
   }
 }
@@ -50,7 +46,7 @@ std::string read_choice(const ros::NodeHandle& node, const std::string& name,
                         const std::vector<std::string>& allowed, const std::string& otherwise) {
   const std::string value = read_text(node, name, otherwise);
   if (value != otherwise && std::find(allowed.begin(), allowed.end(), value) == allowed.end()) {
-    refuse(name, "'" + value + "'", join(allowed));
+    refuse(name, "'" + value + "'", listed(allowed));
   }
   return value;
 }

@@ -175,7 +175,7 @@ void RcmLoop::control_thread() {
     const std::int64_t period_ns = metronome.wait();
     record.period_us = static_cast<double>(period_ns) * 1e-3;
     if (metronome.late()) ++record.overruns;
-    latest_link_.try_get(link);
+    latest_link_.take(link);
     std::size_t n = 0;
     while (n < items.size() && commands_.pop(items[n])) ++n;
     disable_if_exiting();

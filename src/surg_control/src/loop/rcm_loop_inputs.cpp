@@ -28,61 +28,51 @@ bool enters_enabled(const CommandItem& item) {
 
 }  // namespace
 
+/// Lock-step loses no message; in free-run the newest one counts.
+template <typename Message>
+void RcmLoop::listen(const std::string& topic, const std::function<void(const Message&)>& take) {
+  const boost::function<void(const typename Message::ConstPtr&)> callback =
+      [take](const auto& message) { take(*message); };
+  subscribers_.push_back(node_.subscribe<Message>(topic, options_.lockstep ? kEveryMessage : 1,
+                                                  callback, ros::VoidConstPtr(),
+                                                  ros::TransportHints().tcpNoDelay()));
+}
+
 void RcmLoop::subscribe_link() {
+  using geometry_msgs::WrenchStamped;
   using sensor_msgs::JointState;
   const std::string prefix = "/" + arm_ + "/";
-  const auto hints = ros::TransportHints().tcpNoDelay();
-  const std::uint32_t depth = options_.lockstep ? kEveryMessage : 1;
-  const boost::function<void(const JointState::ConstPtr&)> robot = [this](const auto& message) {
-    on_robot_state(*message);
-  };
-  const boost::function<void(const JointState::ConstPtr&)> tool = [this](const auto& message) {
-    on_tool_state(*message);
-  };
-  subscribers_.push_back(node_.subscribe<JointState>(prefix + "robot/measured_js", depth, robot,
-                                                     ros::VoidConstPtr(), hints));
-  subscribers_.push_back(node_.subscribe<JointState>(prefix + "tool/measured_js", depth, tool,
-                                                     ros::VoidConstPtr(), hints));
+  listen<JointState>(prefix + "robot/measured_js",
+                     [this](const auto& message) { on_robot_state(message); });
+  listen<JointState>(prefix + "tool/measured_js",
+                     [this](const auto& message) { on_tool_state(message); });
   // In lock-step the simulator's own forces come, where a task has them.
   if (!options_.lockstep && force_is_required(setup_)) {
     cycle_->require_force_below(setup_.limits.depth_slow);
   }
   for (const auto& [topic, which] : {std::pair{"tool/measured_cf", &LinkState::tip},
                                      std::pair{"trocar/measured_cf", &LinkState::trocar}}) {
-    const boost::function<void(const geometry_msgs::WrenchStamped::ConstPtr&)> force =
-        [this, which = which](const auto& message) { on_force(*message, which); };
-    subscribers_.push_back(node_.subscribe<geometry_msgs::WrenchStamped>(
-        prefix + topic, depth, force, ros::VoidConstPtr(), hints));
+    listen<WrenchStamped>(prefix + topic,
+                          [this, which = which](const auto& message) { on_force(message, which); });
   }
-  const boost::function<void(const surg_msgs::LinkStatus::ConstPtr&)> status =
-      [this](const auto& message) { on_link_status(*message); };
-  subscribers_.push_back(node_.subscribe<surg_msgs::LinkStatus>(
-      prefix + "robot/status", depth, status, ros::VoidConstPtr(), hints));
+  listen<surg_msgs::LinkStatus>(prefix + "robot/status",
+                                [this](const auto& message) { on_link_status(message); });
   if (!options_.lockstep) return;
-  const boost::function<void(const surg_msgs::Ready::ConstPtr&)> ready =
-      [this](const auto& message) { on_ready(*message); };
-  subscribers_.push_back(node_.subscribe<surg_msgs::Ready>("/sim/ready", kEveryMessage, ready,
-                                                           ros::VoidConstPtr(), hints));
+  listen<surg_msgs::Ready>("/sim/ready", [this](const auto& message) { on_ready(message); });
 }
 
 /// The clearance guard follows the other arms. In lock-step a tick waits for their states too.
 void RcmLoop::subscribe_others() {
-  using sensor_msgs::JointState;
   if (!clearance_.missing.empty()) {
     reporter_->warning_once(
         "no_clearance", arm_ + ": no distance is kept to the other arms: " + clearance_.missing);
   }
-  const auto hints = ros::TransportHints().tcpNoDelay();
-  const std::uint32_t depth = options_.lockstep ? kEveryMessage : 1;
   const std::size_t n = clearance_.setup.others.size();
   if (options_.lockstep) other_ticks_.assign(n, 0);
   for (std::size_t i = 0; i < n; ++i) {
-    const boost::function<void(const JointState::ConstPtr&)> take = [this, i](const auto& message) {
-      on_other_state(*message, i);
-    };
     const std::string topic = "/" + clearance_.setup.others[i].name + "/robot/measured_js";
-    subscribers_.push_back(
-        node_.subscribe<JointState>(topic, depth, take, ros::VoidConstPtr(), hints));
+    listen<sensor_msgs::JointState>(topic,
+                                    [this, i](const auto& message) { on_other_state(message, i); });
   }
 }
 

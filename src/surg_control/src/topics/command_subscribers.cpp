@@ -83,9 +83,9 @@ void CommandSubscribers::subscribe_motions(bool wristed) {
       return decode_joints(message, motion, wristed);
     });
   }
-  for (const Motion motion : {Motion::kJawServoJp, Motion::kJawMoveJp}) {
+  for (const Motion motion : {Motion::kJawServoJp, Motion::kJawMoveJp, Motion::kElbowMoveJp}) {
     subscribe<JointState>(topic_of(motion), [motion](const JointState& message) {
-      return decode_jaw(message, motion);
+      return decode_angle(message, motion);
     });
   }
   for (const Motion motion : {Motion::kInsert, Motion::kWithdraw, Motion::kRetrace}) {
@@ -93,7 +93,6 @@ void CommandSubscribers::subscribe_motions(bool wristed) {
       return decode_start_stop(message, motion);
     });
   }
-  subscribe<JointState>(topic_of(Motion::kElbowMoveJp), decode_elbow);
   subscribe<TwistStamped>(topic_of(Motion::kServoCv), decode_twist);
   subscribe<std_msgs::Empty>(topic_of(Motion::kHold),
                              [](const std_msgs::Empty&) { return decode_hold(); });

@@ -5,15 +5,18 @@
 #include <limits>
 #include <utility>
 
+#include "surg_core/config_keys.hpp"
+
 namespace surg_control {
 namespace {
 
 constexpr double kUnitTolerance = 1e-3;  // of a quaternion's norm
 
-// In the order of surg::Fixture's enumerations.
-constexpr std::array<const char*, 3> kShapes{"plane", "sphere", "capsule"};
-constexpr std::array<const char*, 2> kSides{"keep_out", "stay_in"};
-constexpr std::array<const char*, 2> kParts{"tip", "shaft"};
+using surg::config::kParts;
+using surg::config::kShapes;
+using surg::config::kSides;
+using surg::config::word_of;
+using surg::config::word_to;
 
 // In the order of surg::Motion.
 constexpr std::array<const char*, 18> kTopics{
@@ -29,16 +32,6 @@ constexpr std::array<std::pair<const char*, surg::StateCommand>, 6> kStateWords{
     {"home", surg::StateCommand::kHome},
     {"unhome", surg::StateCommand::kUnhome},
 }};
-
-template <typename Word, std::size_t n>
-bool word_to(const std::string& text, const std::array<const char*, n>& words, Word& word) {
-  for (std::size_t i = 0; i < n; ++i) {
-    if (text != words[i]) continue;
-    word = static_cast<Word>(i);
-    return true;
-  }
-  return false;
-}
 
 Decoded refused(surg::Reason reason, std::string detail) {
   Decoded decoded;
@@ -148,25 +141,16 @@ Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motio
   return decoded;
 }
 
-Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion) {
+Decoded decode_angle(const sensor_msgs::JointState& message, surg::Motion motion) {
+  const bool elbow = motion == surg::Motion::kElbowMoveJp;
   if (message.position.size() != 1) {
-    return refused(surg::Reason::kWrongSize, "position has " +
-                                                 std::to_string(message.position.size()) +
-                                                 " values; needed is 1: the jaw's opening angle");
+    return refused(surg::Reason::kWrongSize,
+                   "position has " + std::to_string(message.position.size()) +
+                       " values; needed is 1: the " +
+                       (elbow ? "elbow's swivel angle" : "jaw's opening angle"));
   }
   Decoded decoded = motion_of(motion);
-  decoded.item.motion.jaw = message.position[0];
-  return decoded;
-}
-
-Decoded decode_elbow(const sensor_msgs::JointState& message) {
-  if (message.position.size() != 1) {
-    return refused(surg::Reason::kWrongSize, "position has " +
-                                                 std::to_string(message.position.size()) +
-                                                 " values; needed is 1: the elbow's swivel angle");
-  }
-  Decoded decoded = motion_of(surg::Motion::kElbowMoveJp);
-  decoded.item.motion.elbow = message.position[0];
+  (elbow ? decoded.item.motion.elbow : decoded.item.motion.jaw) = message.position[0];
   return decoded;
 }
 
@@ -224,15 +208,18 @@ Decoded decode_fixture(const surg_msgs::Fixture& message, const std::string& fra
   if (decoded.reason != surg::Reason::kNone) return decoded;
   decoded.item.kind = CommandItem::Kind::kSetFixture;
   surg::Fixture& fixture = decoded.item.fixture;
-  const bool known = word_to(message.shape, kShapes, fixture.shape) &&
-                     word_to(message.side, kSides, fixture.side) &&
-                     word_to(message.of, kParts, fixture.of);
-  if (!known) {
+  const auto shape = word_to<surg::Fixture::Shape>(message.shape, kShapes);
+  const auto side = word_to<surg::Fixture::Side>(message.side, kSides);
+  const auto of = word_to<surg::Fixture::Of>(message.of, kParts);
+  if (!shape || !side || !of) {
     return refused(surg::Reason::kWrongSize,
                    "shape, side and of are " + quoted(message.shape) + ", " + quoted(message.side) +
                        ", " + quoted(message.of) +
                        "; allowed are plane, sphere, capsule; keep_out, stay_in; tip, shaft");
   }
+  fixture.shape = *shape;
+  fixture.side = *side;
+  fixture.of = *of;
   fixture.point = to_eigen(message.point);
   fixture.axis = fixture.shape == surg::Fixture::Shape::kPlane
                      ? to_eigen(message.normal)
@@ -293,9 +280,9 @@ Decoded decode_base_frame(const geometry_msgs::PoseStamped& message, const std::
 surg_msgs::Fixture encode_fixture(const surg::Fixture& fixture) {
   surg_msgs::Fixture message;
   message.name = fixture.title();
-  message.shape = kShapes[static_cast<std::size_t>(fixture.shape)];
-  message.side = kSides[static_cast<std::size_t>(fixture.side)];
-  message.of = kParts[static_cast<std::size_t>(fixture.of)];
+  message.shape = word_of(fixture.shape, kShapes);
+  message.side = word_of(fixture.side, kSides);
+  message.of = word_of(fixture.of, kParts);
   const surg::Vector3 &p = fixture.point, &axis = fixture.axis;
   message.point.x = p.x();
   message.point.y = p.y();

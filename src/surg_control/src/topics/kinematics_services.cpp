@@ -121,7 +121,6 @@ KinematicsServices::KinematicsServices(ros::NodeHandle& node, const std::string&
                                        const surg::Limits& limits,
                                        const std::optional<surg::WristConfig>& wrist)
     : limits_(limits), wrist_(wrist) {
-  box_.put(Frame());
   const auto forward = [this](bool local) {
     return [this, local](Forward::Request& request, Forward::Response& response) {
       response =
@@ -147,11 +146,11 @@ void KinematicsServices::set_frame(const BaseFrame& frame, double turn) {
   if (frame.version == version_ && turn == turn_) return;
   version_ = frame.version;
   turn_ = turn;
-  box_.put({frame.X_UR, turn});
+  newest_.put({frame.X_UR, turn});
 }
 
 KinematicsServices::Frame KinematicsServices::frame() {
-  box_.try_get(last_);
+  newest_.take(last_);
   return last_;
 }
 

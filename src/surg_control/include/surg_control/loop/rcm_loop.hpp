@@ -13,6 +13,7 @@
 #include <atomic>
 #include <deque>
 #include <exception>
+#include <functional>
 #include <memory>
 #include <mutex>
 #include <set>
@@ -56,6 +57,8 @@ class RcmLoop {
 
  private:
   // --- coming in: the thread of run() (rcm_loop_inputs.cpp) ---
+  template <typename Message>
+  void listen(const std::string& topic, const std::function<void(const Message&)>& take);
   void subscribe_link();
   void on_command(const std::string& topic, const std::string& caller, const ros::Time& stamp,
                   Decoded decoded);
@@ -129,7 +132,7 @@ class RcmLoop {
   std::vector<std::uint64_t> other_ticks_;
   std::set<std::string> undeclared_seen_;
 
-  LatestBox<LinkState> latest_link_;
+  LatestSlot<LinkState> latest_link_;
   SpscRing<CommandItem> commands_;
   SpscRing<CycleRecord> records_;
   sem_t records_waiting_;

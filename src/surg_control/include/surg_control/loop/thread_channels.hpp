@@ -4,7 +4,6 @@
 #include <array>
 #include <atomic>
 #include <cstddef>
-#include <mutex>
 #include <vector>
 
 namespace surg_control {
@@ -40,31 +39,8 @@ class SpscRing {
   alignas(64) std::atomic<std::size_t> tail_{0};
 };
 
-/// The latest value. The reader only tries the lock: while the writer holds it, the reader keeps
-/// its value until the next cycle.
-template <typename T>
-class LatestBox {
- public:
-  void put(const T& value) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    value_ = value;
-  }
-
-  /// Copies the newest value into 'value'; false when the writer holds the box.
-  bool try_get(T& value) {
-    const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
-    if (!lock.owns_lock()) return false;
-    value = value_;
-    return true;
-  }
-
- private:
-  std::mutex mutex_;
-  T value_{};
-};
-
-/// The latest value, for a writer that must never wait and never drop it: three slots, of which
-/// writer and reader own one each and swap it with the third.
+/// The latest value of one writer, for one reader. Neither waits: three slots, of which writer and
+/// reader own one each and swap it with the third.
 template <typename T>
 class LatestSlot {
  public:

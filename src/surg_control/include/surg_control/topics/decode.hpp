@@ -35,10 +35,8 @@ Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motio
 const std::vector<std::string>& joint_names(bool wristed);
 /// Names in one line, for texts.
 std::string listed(const std::vector<std::string>& names);
-/// jaw/servo_jp, jaw/move_jp: one position.
-Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion);
-/// elbow/move_jp: one swivel angle.
-Decoded decode_elbow(const sensor_msgs::JointState& message);
+/// jaw/servo_jp, jaw/move_jp: one position; elbow/move_jp: one swivel angle.
+Decoded decode_angle(const sensor_msgs::JointState& message, surg::Motion motion);
 /// hold.
 Decoded decode_hold();
 /// rcm/insert, rcm/withdraw, rcm/retrace: 'start' means 'motion', 'stop' means hold.

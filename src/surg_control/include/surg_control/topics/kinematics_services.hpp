@@ -41,7 +41,7 @@ class KinematicsServices {
 
   surg::Limits limits_;
   std::optional<surg::WristConfig> wrist_;
-  LatestBox<Frame> box_;
+  LatestSlot<Frame> newest_;
   Frame last_;
   double turn_ = 0;
   std::uint32_t version_ = 0;
