@@ -26,7 +26,7 @@ from std_msgs.msg import Empty
 from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import StringStamped
-from crtk_msgs.srv import QueryForwardKinematics
+from crtk_msgs.srv import QueryForwardKinematics, QueryInverseKinematics
 from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
@@ -89,6 +89,35 @@ def virtual_joints(cycle: Cycle) -> np.ndarray:
     return np.array([math.atan2(p[0], p[2]), math.asin(p[1] / depth), depth, cycle.roll])
 
 
+def test_joint_commands_arrive(ros_graph: RosGraph, rig: Rig, voice: Voice) -> None:
+    """One after the other, there and back."""
+    start(ros_graph, rig)
+    topics = ("move_jp", "move_jr", "interpolate_jp", "servo_jr")
+    send = {topic: voice.speak(topic, JointState) for topic in topics}
+    rig.enable()
+    for _ in range(10):  # the edge of is_busy that belongs to home
+        cycle = rig.step()
+    change = np.array([0.05, -0.04, 0.01, 0.2])
+    for topic in topics:
+        begin = virtual_joints(cycle)
+        if topic == "servo_jr":  # a stream of small changes
+            for k in range(250):  # its end is at rest, or the tip would stop a little beyond
+                part = change / 200 if k < 200 else 0 * change
+                send[topic](JointState(position=part.tolist()))
+                cycle = rig.step()
+        else:
+            there = change if topic == "move_jr" else begin + change
+            send[topic](JointState(position=there.tolist()))
+            cycle = rig.step()
+            assert cycle.busy == topic.startswith("move")
+        for _ in range(700):
+            cycle = rig.step()
+        assert cycle.refused == 0, rig.texts
+        assert not cycle.busy
+        assert np.allclose(virtual_joints(cycle) - begin, change, atol=1e-3), topic
+        change = -change
+
+
 def test_base_frame_is_spoken_in_both_directions(
     ros_graph: RosGraph, rig: Rig, voice: Voice
 ) -> None:
@@ -118,6 +147,24 @@ def test_base_frame_is_spoken_in_both_directions(
         jp=virtual_joints(cycle)
     )
     assert np.allclose([getattr(answer.cp.position, axis) for axis in "xyz"], [p.x, p.y, p.z])
+
+
+def test_kinematics_queries(ros_graph: RosGraph, rig: Rig) -> None:
+    start(ros_graph, rig)
+    joints = [0.1, -0.2, 0.12, 0.4]
+    forward = rospy.ServiceProxy("/PSM1/local/forward_kinematics", QueryForwardKinematics)
+    inverse = rospy.ServiceProxy("/PSM1/inverse_kinematics", QueryInverseKinematics)
+    pose = forward(jp=joints)
+    assert pose.result, pose.message
+    anywhere = rospy.ServiceProxy("/PSM1/forward_kinematics", QueryForwardKinematics)
+    assert anywhere(jp=joints).cp == pose.cp  # the base frame is the rcm frame
+    back = inverse(cp=pose.cp, jp=[])
+    assert back.result, back.message
+    assert np.allclose(back.jp, joints, atol=1e-12)
+    assert not forward(jp=[0.0]).result
+    pose.cp.position.z = 1.0
+    refused = inverse(cp=pose.cp, jp=[])
+    assert not refused.result and "allowed" in refused.message
 
 
 def test_words_are_said_once_for_what_cannot_be_followed(
