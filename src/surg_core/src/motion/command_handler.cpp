@@ -17,6 +17,7 @@ constexpr double kArrivedRoll = 0.01;      // [rad] from the target
 constexpr double kHeldWithin = 0.75;       // [s] near one place at a limit; then it is given up
 constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no progress
 constexpr double kHeldRoll = 1e-3;         // [rad] of the set-point that is no progress
+constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kMargin = 1e-3;           // [m] to a wall: slides inside; outside, is inserted
@@ -39,7 +40,9 @@ bool beyond_quarter_turn(const Vector4& joints) {
   return std::abs(joints[0]) > M_PI_2 || std::abs(joints[1]) > M_PI_2 || joints[2] < 0;
 }
 
-double stream_age(const MotionCommand& command) { return std::max(0.0, command.age); }
+double stream_age(const MotionCommand& command) {
+  return command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
+}
 
 /// Velocity of the wrist centre [m/s] that moves the tip at v_tip although the joints turn
 /// otherwise than wished: position first. The shaft turns with the centre about the trocar.
