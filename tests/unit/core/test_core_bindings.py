@@ -122,3 +122,9 @@ def test_configuration_is_read_only() -> None:
         _core.Document("x.yaml", {"tip": [1.0, "two"]})  # type: ignore[dict-item]
     with pytest.raises(TypeError, match="tip"):
         _core.Document("x.yaml", {"tip": None})  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize("limits", [(0.0, 2.0, 40.0), (0.25, -2.0, 40.0), (0.25, 2.0, np.nan)])
+def test_limits_that_are_not_positive_are_refused(limits: tuple[float, float, float]) -> None:
+    with pytest.raises(ValueError, match="must be > 0"):
+        _core.DofLimits(*limits)

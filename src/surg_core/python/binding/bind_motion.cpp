@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstdint>
 #include <optional>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -113,6 +114,9 @@ Array stream_filter(const Array& t, const Array& samples, const DofLimits& limit
 void bind_motion(py::module_& m) {
   py::class_<DofLimits>(m, "DofLimits", "Limits of one degree of freedom.")
       .def(py::init([](double v, double a, double j) {
+             if (!(v > 0 && a > 0 && j > 0)) {
+               throw std::invalid_argument("velocity, acceleration and jerk limits must be > 0");
+             }
              return DofLimits{v, a, j};
            }),
            py::arg("velocity"), py::arg("acceleration"), py::arg("jerk"))
