@@ -239,7 +239,7 @@ def test_without_the_other_arms_state_only_away_is_left(two: surg_core.Cell) -> 
     def go(sign: float, others: list[OtherArm]) -> float:
         for _ in range(200):
             own.step(towards(pair, 0, sign), others)
-            own.move()
+            own.obey(own.out.qd_command)
         return float(np.linalg.norm(own.out.v_BTip))
 
     assert go(1.0, []) < 1e-6

@@ -4,13 +4,12 @@
 #include <cmath>
 #include <limits>
 
-#include "surg_core/limits/workspace.hpp"
-
 namespace surg {
 namespace {
 
 constexpr double kTurned = 0.05;  // [rad] off the set-point at a start: turned by hand
 constexpr double kAway = 0.3;     // [rad] off the place of a drive that lags as stated: blocked
+constexpr double kEndApproach = 10.0;  // [1/s] speed of a joint over what is left of its range
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
 }  // namespace
@@ -163,7 +162,7 @@ DriveJoints WristMotion::allowed(const DriveJoints& rates) const {
   DriveJoints out;
   for (int i = 0; i < kJoints; ++i) {
     const double end = rates[i] > 0 ? config_.max[i] : config_.min[i];
-    const double most = kApproachGain * std::abs(end - dofs_[i].x);
+    const double most = kEndApproach * std::abs(end - dofs_[i].x);
     out[i] = std::clamp(share * rates[i], -most, most);
   }
   return out;
