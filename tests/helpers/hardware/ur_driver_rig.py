@@ -18,7 +18,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 from helpers.hardware import emulated_ur
-from surg_hardware.arm_driver import DriverSettings
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_datagrams import (
     LONGEST,
@@ -28,6 +27,7 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_from_driver,
 )
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.ur.ur_driver import UrDriver
 
 DEAD_MAN, STOP = 0.04, 20.0

@@ -23,9 +23,10 @@ from surg_emulators.franka.franka_robots import FR3 as FR3_ARM
 from surg_emulators.franka.generator_motion import DT
 from surg_hardware import adapter_driver, arm_driver, robot_link
 from surg_hardware import driver_datagrams as wire
-from surg_hardware.arm_driver import DriverSettings, RobotRefused
+from surg_hardware.arm_driver import RobotRefused
 from surg_hardware.conditions import Condition
 from surg_hardware.driver_checkup import Heard
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.franka.joint_limits import FR3, PANDA
 from surg_hardware.franka.versions import refusal
 

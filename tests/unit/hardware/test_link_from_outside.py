@@ -14,8 +14,9 @@ import surg_core
 from helpers.hardware.emulated_cell import emulated_cell
 from surg_hardware import adapter_driver, link_node, link_programs
 from surg_hardware import driver_datagrams as wire
-from surg_hardware.arm_driver import DriverSettings, RobotRefused
+from surg_hardware.arm_driver import RobotRefused
 from surg_hardware.conditions import Condition
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.driver_start import start_driver
 
 DRIVER = '''"""An arm that follows its commands exactly; it lives in this process."""

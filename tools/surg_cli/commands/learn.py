@@ -15,14 +15,7 @@ from surg_cli.learning import rollouts
 from surg_learn import learn_stages
 from surg_learn.cloning.training.torch_device import DEVICES
 from surg_learn.learn_terminal import LearnError
-from surg_learn.recipes import (
-    BUILT_IN,
-    LOOKS,
-    METHODS,
-    STATE,
-    Request,
-    recipe_of,
-)
+from surg_learn.recipes import BUILT_IN, LOOKS, METHODS, STATE, Request, recipe_of
 from surg_learn.stage_ledger import Ledger
 
 RANDOMIZATION = "--domain-randomization"

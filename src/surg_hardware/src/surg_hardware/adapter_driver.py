@@ -18,12 +18,12 @@ from surg_hardware.arm_driver import (
     FIRST_CONNECTION,
     STALE,
     ArmDriver,
-    DriverSettings,
     RobotRefused,
     serve,
 )
 from surg_hardware.conditions import OFFLINE
 from surg_hardware.driver_datagrams import IdentityDatagram
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.link_programs import ADAPTERS
 from surg_hardware.robot_adapter import AdapterError, ArmState, RobotAdapter
 from surg_hardware.robot_link import RobotState

@@ -8,15 +8,14 @@ robot must not be driven, with the reason on stderr.
 from __future__ import annotations
 
 import gc
-import json
 import math
 import signal
 import socket
 import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from surg_hardware import driver_process, robot_clock
 from surg_hardware.conditions import NOT_NUMBERS, OFFLINE, Condition, Reading
@@ -29,6 +28,7 @@ from surg_hardware.driver_datagrams import (
     StateDatagram,
     decode_to_driver,
 )
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.robot_clock import RobotClock
 from surg_hardware.robot_link import (
     START_TIMEOUT,
@@ -52,30 +52,6 @@ IDENTITY_PERIOD = 1.0
 """[s] Between two looks at the robot's identity, at rest."""
 PUBLISHED = 0.002
 """[s] Between two states for the node: the controller's cycle."""
-
-
-@dataclass(frozen=True)
-class DriverSettings:
-    """Of one driver; ``realtime`` is the priority, the limits are as in `robot_link.Settings`."""
-
-    address: str
-    realtime: int
-    velocity: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    dead_man: float
-    stop_deceleration: float
-    driver: str = ""
-    """What drives the arm: the link's name, or the folder of a driver from elsewhere."""
-    options: Mapping[str, object] = field(default_factory=dict)
-    """Section ``settings`` of the link's YAML."""
-
-    @staticmethod
-    def from_json(text: str) -> DriverSettings:
-        """Read what `json.dumps` of the fields has written."""
-        given = json.loads(text)
-        given["velocity"] = tuple(given["velocity"])
-        given["acceleration"] = tuple(given["acceleration"])
-        return DriverSettings(**given)
 
 
 class RobotRefused(Exception):

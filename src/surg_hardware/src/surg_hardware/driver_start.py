@@ -10,7 +10,7 @@ import sys
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from surg_hardware.arm_driver import DriverSettings
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.link_programs import NoProgram, driver_name, driver_words, search_path
 
 if TYPE_CHECKING:

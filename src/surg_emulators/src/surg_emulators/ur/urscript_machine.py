@@ -24,8 +24,6 @@ from surg_emulators.ur.urscript_values import MOST_ELEMENTS, Pose, binary, copy,
 MOST_NODES = 20_000
 """A thread that executes more in one cycle has a loop without `sync`: the arm stops it too."""
 MOST_CALLS, MOST_THREADS = 100, 50
-
-
 LEAVING = {"break_loop": "break", "continue_loop": "continue"}
 
 

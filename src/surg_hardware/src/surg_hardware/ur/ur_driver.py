@@ -19,12 +19,12 @@ from surg_hardware.arm_driver import (
     FIRST_CONNECTION,
     STALE,
     ArmDriver,
-    DriverSettings,
     RobotRefused,
     serve,
 )
 from surg_hardware.conditions import OFFLINE, Condition, Reading
 from surg_hardware.driver_datagrams import IdentityDatagram
+from surg_hardware.driver_settings import DriverSettings
 from surg_hardware.robot_link import CommandPhase
 from surg_hardware.ur import orders, primary, urscript
 from surg_hardware.ur.orders import ANSWER, LOCAL, Order, Orders

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import cv2
@@ -25,6 +25,7 @@ from surg_perception.drift.drift_evidence import (
     Verdict,
 )
 from surg_perception.drift.moving_parts import EYES, LENS, Part, SeenPoint, derivatives
+from surg_perception.drift.shaft_axis import ShaftAxis
 from surg_perception.drift.shaft_finder import Grey, find_shaft, lit_part
 
 SHAFT = (0.022, 0.07)
@@ -54,29 +55,6 @@ Joints = Callable[[str, float], FloatArray | None]
 _Found = tuple[int, int, FloatArray]
 """Eye, number of the point, and normal (2,) of the line that is seen beside it, so long that it
 gives offsets along the expected axis's normal."""
-
-
-@dataclass(frozen=True)
-class _Axis:
-    """A piece of shaft as joints put it.
-
-    Attributes:
-        arm: Whose.
-        p_TipP_F: (n, 3) points from the tip, in the flange's axes [m].
-        p_W: (n, 3) in the world.
-        p_V: (n, 3) before the left eye.
-        R_WF: (3, 3).
-        R_VW: (3, 3).
-        v_V: (n, 3) speed before the left eye [m/s].
-    """
-
-    arm: str
-    p_TipP_F: FloatArray
-    p_W: FloatArray
-    p_V: FloatArray
-    R_WF: FloatArray
-    R_VW: FloatArray
-    v_V: FloatArray
 
 
 class DriftWatch:
@@ -112,7 +90,7 @@ class DriftWatch:
         self._eyes = [EyeProjection(lens, X) for lens, X in zip(lenses, poses, strict=False)]
         self._focal = float(lenses[0].K[0, 0])
         self._last: dict[str, tuple[float, FloatArray]] = {}
-        self._newest: dict[str, _Axis] = {}
+        self._newest: dict[str, ShaftAxis] = {}
         self._widths: dict[str, list[float]] = {}
         self._take = take or DriftEvidence(self.parts).add
         self._before: list[Picture] | None = None
@@ -158,7 +136,7 @@ class DriftWatch:
             found.append((pixels, moved))
         return found
 
-    def _axis(self, name: str, joints: Joints, stamp: float) -> _Axis | None:
+    def _axis(self, name: str, joints: Joints, stamp: float) -> ShaftAxis | None:
         arm = self._arms[name]
         q, q_scope = joints(arm.name, stamp), joints(self.held.arm, stamp)
         if q is None or q_scope is None:
@@ -171,7 +149,7 @@ class DriftWatch:
         p_V = p_W @ X_VW[:3, :3].T + X_VW[:3, 3]
         p_TipP_F: FloatArray = p_F - np.asarray(arm.tool.p_FTip)
         rest = np.zeros_like(p_V)
-        return _Axis(name, p_TipP_F, p_W, p_V, X_WF[:3, :3], X_VW[:3, :3], rest)
+        return ShaftAxis(name, p_TipP_F, p_W, p_V, X_WF[:3, :3], X_VW[:3, :3], rest)
 
     def _moved(self, name: str, stamp: float, joints: Joints) -> bool:
         """Whether an instrument has moved enough for another sighting; keeps where it is."""
@@ -228,7 +206,7 @@ class DriftWatch:
     def _sighting(
         self,
         stamp: float,
-        axis: _Axis,
+        axis: ShaftAxis,
         found: Sequence[_Found],
         r: FloatArray,
         sd: FloatArray,
@@ -250,7 +228,7 @@ class DriftWatch:
             r = r + self._beyond(axis, between, found, A, x)
         return Sighting(stamp, A, r, sd, place, pixel, again)
 
-    def _half_way(self, axis: _Axis, x: FloatArray, points: set[int]) -> _Axis:
+    def _half_way(self, axis: ShaftAxis, x: FloatArray, points: set[int]) -> ShaftAxis:
         """A shaft with these of its points half way to where the steps x (P,) put it."""
         half_V = np.zeros_like(axis.p_V)
         for at in points | {POINTS - 1}:
@@ -266,7 +244,12 @@ class DriftWatch:
         )
 
     def _beyond(
-        self, axis: _Axis, between: _Axis, found: Sequence[_Found], A: FloatArray, x: FloatArray
+        self,
+        axis: ShaftAxis,
+        between: ShaftAxis,
+        found: Sequence[_Found],
+        A: FloatArray,
+        x: FloatArray,
     ) -> FloatArray:
         """(m,) what derivatives A (m, P) say of large steps beyond the projection [px]."""
         through_points = x.copy()
@@ -279,7 +262,7 @@ class DriftWatch:
             beyond[row] -= n @ (after - before)
         return np.where(np.isfinite(beyond), beyond, 0.0)  # not: behind the eye
 
-    def _derivatives(self, axis: _Axis, eye: int, at: int, metres: bool = False) -> FloatArray:
+    def _derivatives(self, axis: ShaftAxis, eye: int, at: int, metres: bool = False) -> FloatArray:
         """(2, P) of the pixel of one point of a shaft by all steps, or (3, P) of its place."""
         by_point = np.eye(3) if metres else self._eyes[eye].derivative(axis.p_V[at])
         point = SeenPoint(
