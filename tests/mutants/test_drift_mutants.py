@@ -18,12 +18,12 @@ from surg_cli.host import paths
 pytestmark = pytest.mark.mutants
 
 
-def tests_of(mutant: Mutant) -> list[Path]:
+def files_of(mutant: Mutant) -> list[Path]:
     return [file for name in mutant.first for file in (paths.ROOT / "tests").rglob(f"{name}.py")]
 
 
 def test_without_a_mutant_nothing_fails() -> None:
-    files = {file for mutant in MUTANTS for file in tests_of(mutant)}
+    files = {file for mutant in MUTANTS for file in files_of(mutant)}
     assert killer(paths.ROOT, sorted(files), ()) is None
 
 
@@ -34,6 +34,6 @@ def test_the_mutant_is_noticed(mutant: Mutant, tmp_path: Path) -> None:
     shutil.copytree(paths.ROOT / "src" / package / kind, tmp_path / "copy")
     moved = Mutant(mutant.name, mutant.why, (Edit(file, edit.text, edit.instead),), mutant.first)
     with applied(moved, tmp_path / "copy"):
-        noticed = killer(tmp_path / "copy", tests_of(mutant), mutant.first)
+        noticed = killer(tmp_path / "copy", files_of(mutant), mutant.first)
     assert noticed is not None, f"nobody notices {mutant.name}: {mutant.why}"
     print(f"{mutant.name}: {noticed}")

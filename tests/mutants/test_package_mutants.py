@@ -42,7 +42,7 @@ CHOSEN = {
 MUTANTS = [(package, mutant) for package, chosen in CHOSEN.items() for mutant in chosen]
 
 
-def tests_of(package: str) -> list[Path]:
+def files_of(package: str) -> list[Path]:
     folders = (paths.ROOT / "tests" / "unit" / name for name in FOLDERS[package])
     return sorted(file for folder in folders for file in folder.glob("test_*.py"))
 
@@ -60,7 +60,7 @@ def copies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.mark.parametrize("package", FOLDERS)
 def test_without_a_mutant_nothing_fails(package: str, copies: dict[str, Path]) -> None:
-    assert killer(copies[package], tests_of(package), ()) is None
+    assert killer(copies[package], files_of(package), ()) is None
 
 
 @pytest.mark.parametrize(
@@ -68,6 +68,6 @@ def test_without_a_mutant_nothing_fails(package: str, copies: dict[str, Path]) -
 )
 def test_the_mutant_is_noticed(package: str, mutant: Mutant, copies: dict[str, Path]) -> None:
     with applied(mutant, copies[package] / package):
-        noticed = killer(copies[package], tests_of(package), mutant.first)
+        noticed = killer(copies[package], files_of(package), mutant.first)
     assert noticed is not None, f"nobody notices {mutant.name}: {mutant.why}"
     print(f"{mutant.name}: {noticed}")
