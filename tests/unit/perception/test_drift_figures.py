@@ -149,7 +149,7 @@ CHANGED = [
     (drift_state, "EXPLAINED", (0.5, 0.8)),
     (shaft_breath, "RATES", (np.array([0.05]), np.arange(0.15, 0.5, 0.05))),
     (drift_watch, "STILL_LIKELY", (0.0, 0.9)),
-    (drift_watch, "STEP", (0.001, 0.004)),
+    (drift_watch, "STEP", (0.0005, 0.002)),
     (drift_watch, "PAUSE", (0.05, 0.2)),
 ]
 """Constants of the watch, and other values."""

@@ -32,7 +32,7 @@ SHAFT = (0.022, 0.07)
 """[m] Part of the shaft that is looked for, up from the tip: behind the jaws."""
 POINTS = 40
 """Points of it: rows of the unrolled picture."""
-STEP = 0.002
+STEP = 0.001
 """[m] Way of the shaft before the eye between two sightings: a resting one says nothing new."""
 PAUSE = 0.1
 """[s] Least time between two sightings of one instrument; bounds the cost."""
