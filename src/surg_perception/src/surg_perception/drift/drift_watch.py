@@ -65,6 +65,7 @@ class DriftWatch:
         lenses: Of the left eye, or of both, for the pictures' size.
         parts: As `stated_parts.stated_parts` reads them.
         take: Takes in each sighting, and judges; None: as `DriftEvidence` does.
+        step: Way of a shaft between two sightings of it [m].
 
     Raises:
         ConfigError: No arm holds the endoscope.
@@ -76,6 +77,7 @@ class DriftWatch:
         lenses: Sequence[Lens],
         parts: Sequence[Part],
         take: Callable[[Sighting], Verdict | None] | None = None,
+        step: float | None = None,
     ) -> None:
         held = held_endoscope(cell)
         if held is None:
@@ -93,6 +95,7 @@ class DriftWatch:
         self._newest: dict[str, ShaftAxis] = {}
         self._widths: dict[str, list[float]] = {}
         self._take = take or DriftEvidence(self.parts).add
+        self._step = STEP if step is None else step
         self._before: list[Picture] | None = None
         self._seen_at = 0.0
         self.unseen: Counter[str] = Counter()
@@ -160,7 +163,7 @@ class DriftWatch:
         if now is None:
             return False
         ends = now.p_V[[0, -1]]
-        if last is not None and np.linalg.norm(ends - last[1], axis=1).max() < STEP:
+        if last is not None and np.linalg.norm(ends - last[1], axis=1).max() < self._step:
             return False
         past, future = (self._axis(name, joints, stamp + step) for step in (-MOMENT, MOMENT))
         if past is None or future is None:

@@ -24,6 +24,8 @@ from surg_perception.drift.moving_parts import CAMERA, Part
 ASIDE, SLOPE = 0.4, 0.1
 """[px] One sigma of what a shaft is seen aside, and of half the difference between both its places,
 beside its rows' scatter: shade and blur do not turn it."""
+APART = 0.002
+"""[m] Way of a shaft between two sightings: nearer ones are alike, and would count twice."""
 OUTLIER, MISFIT = 3.0, 2.0
 """[sigma] Beyond this a residual counts less; largest typical one that is accepted."""
 LOOKS = 4
@@ -66,7 +68,7 @@ def find(
     held: HeldEndoscope | None = None
     for _ in range(LOOKS):
         sightings: list[Sighting] = []
-        watch = DriftWatch(cell, lenses, parts, sightings.append)
+        watch = DriftWatch(cell, lenses, parts, sightings.append, APART)
         watch.held = held = watch.held if held is None else replace(watch.held, X_FV=held.X_FV)
         look(watch)
         if len(sightings) < 2:
