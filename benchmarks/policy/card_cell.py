@@ -187,15 +187,14 @@ class Scene:
 
     def _others(self, seed: int) -> dict[str, list[np.ndarray]]:
         """Pictures of the expert's episode by key, where they are shown in place of one's own."""
-        shown: dict[str, list[np.ndarray]] = {image_key(f"endoscope_{v}"): [] for v in self._views}
         if self._condition.eye is not None:
             return {}
-        draw = self._pictures(seed)
+        draw, shown = self._pictures(seed), dict[str, list[np.ndarray]]()
 
         def keep(tick: Tick) -> None:
             if tick.tick % GRID == 0:
                 for view, picture in draw(self._views).items():
-                    shown[image_key(f"endoscope_{view}")].append(picture.copy())
+                    shown.setdefault(image_key(f"endoscope_{view}"), []).append(picture.copy())
 
         run_episode(self._session, seed, watch=keep)
         return shown
