@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, inverse_pose, rotation_vector
+from surg_core.transforms import FloatArray, inverse_pose, rotation_vector, skew
 from surg_perception.calibration.adjustment import Adjusted, adjust
 from surg_perception.calibration.intrinsics import PoseProblem, SeenCorners, board_pose, look
 from surg_perception.calibration.small_motions import (
@@ -20,7 +20,6 @@ from surg_perception.calibration.small_motions import (
     mean_pose,
     moved,
     nearest_rotation,
-    skew,
 )
 from surg_perception.calibration.stereo import PairProblem
 from surg_perception.calibration.triangulation import Stereo
@@ -62,7 +61,7 @@ class HandEyeProblem:
         X_VBoard, R_VF = inverse_pose(self.X_FV) @ X_FBoard, self.X_FV[:3, :3].T
         by_poses = np.zeros((6, 12))  # A step of the board before the eye, by steps of both poses.
         by_poses[:3, :3] = by_poses[3:, 3:6] = -R_VF
-        by_poses[3:, :3] = R_VF @ skew(X_FBoard[:3, 3] - self.X_FV[:3, 3])[0]
+        by_poses[3:, :3] = R_VF @ skew(X_FBoard[:3, 3] - self.X_FV[:3, 3])
         by_poses[:3, 6:9] = by_poses[3:, 9:] = R_VF @ self.X_BF[view][:3, :3].T
         zoom, size = np.exp(self.factors)
         residuals, slopes = [], []

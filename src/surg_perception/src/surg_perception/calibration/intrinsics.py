@@ -11,9 +11,9 @@ import numpy as np
 
 from surg_core.lens_file import DISTORTION_MODELS
 from surg_core.pictures.lens_model import MODELS, LensModel
-from surg_core.transforms import FloatArray
+from surg_core.transforms import FloatArray, skew
 from surg_perception.calibration.adjustment import Adjusted, adjust
-from surg_perception.calibration.small_motions import moved, skew
+from surg_perception.calibration.small_motions import moved
 
 GOOD_ENOUGH = 1.05
 """A simpler model wins when its held-out error is at most this many times the best one's."""

@@ -10,16 +10,7 @@ import math
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, rotation_of, rotation_vector
-
-
-def skew(v: FloatArray) -> FloatArray:
-    """Matrices (n, 3, 3) of the cross product with each row of v (n, 3)."""
-    v = np.atleast_2d(v)
-    S = np.zeros((len(v), 3, 3))
-    S[:, (2, 0, 1), (1, 2, 0)] = v
-    S[:, (1, 2, 0), (2, 0, 1)] = -v
-    return S
+from surg_core.transforms import FloatArray, rotation_of, rotation_vector, skew
 
 
 def moved(X_AB: FloatArray, step: FloatArray) -> FloatArray:
@@ -42,7 +33,7 @@ def covariance_of_inverse(X_AB: FloatArray, covariance: FloatArray) -> FloatArra
     J = np.zeros((6, 6))
     J[:3, :3] = -R_BA
     # p_BA = -R_BA p_AB; with exp(w): -R_BA (1 - [w]x) p_AB = p_BA - R_BA [p_AB]x w.
-    J[3:, :3] = -R_BA @ skew(X_AB[:3, 3])[0]
+    J[3:, :3] = -R_BA @ skew(X_AB[:3, 3])
     J[3:, 3:] = -R_BA
     return np.asarray(J @ covariance @ J.T)
 
@@ -77,5 +68,5 @@ def shift_at(covariance: FloatArray, lever: FloatArray) -> float:
         covariance: (6, 6) of the pose X_AB, rotation first, axes of A.
         lever: (3,) from the origin of B to the point, axes of A [m].
     """
-    J = np.hstack([-skew(lever)[0], np.eye(3)])
+    J = np.hstack([-skew(lever), np.eye(3)])
     return float(np.sqrt(np.trace(J @ covariance @ J.T)))

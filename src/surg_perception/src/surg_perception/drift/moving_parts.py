@@ -22,8 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_core.transforms import FloatArray
-from surg_perception.calibration.small_motions import skew
+from surg_core.transforms import FloatArray, skew
 
 EYES = ("left", "right")
 CAMERA, BASE, LENS, TOOL, LAG = "camera", "base", "lens", "tool", "lag"
@@ -133,14 +132,14 @@ def derivatives(
     by_world = point.by_point @ point.R_VW
     for part in parts:
         if part.kind == CAMERA:
-            rows[:, part.at] = point.by_point @ np.hstack([skew(point.p_V)[0], -np.eye(3)])
+            rows[:, part.at] = point.by_point @ np.hstack([skew(point.p_V), -np.eye(3)])
         elif part.kind == BASE and part.of in (scope, point.arm):
-            carried = np.hstack([-skew(point.p_W - origins[part.of])[0], np.eye(3)])
+            carried = np.hstack([-skew(point.p_W - origins[part.of]), np.eye(3)])
             rows[:, part.at] = by_world @ carried * (-1.0 if part.of == scope else 1.0)
         elif part.kind == LENS and part.of == point.eye:
             rows[:2, part.at] = point.per_pixel * np.eye(2)
         elif part.kind == TOOL and part.of == point.arm:
-            carried = np.hstack([-skew(point.p_TipP_F)[0], np.eye(3)])
+            carried = np.hstack([-skew(point.p_TipP_F), np.eye(3)])
             rows[:, part.at] = by_world @ point.R_WF @ carried
         elif part.kind == LAG:
             rows[:, part.at] = -(point.by_point @ point.v_V)[:, None]

@@ -15,8 +15,7 @@ from surg_core.held_endoscope import STEREO, HeldEndoscope, held_endoscope
 from surg_core.lens_file import Lens
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.stereo_file import load_stereo
-from surg_core.transforms import FloatArray
-from surg_perception.calibration.small_motions import skew
+from surg_core.transforms import FloatArray, skew
 from surg_perception.marks.instrument_marks import InstrumentMarks, Mark
 
 
@@ -163,5 +162,5 @@ class _Covariance:
 
 def _carried(covariance: FloatArray, lever: FloatArray, R: FloatArray) -> FloatArray:
     """Covariance (3, 3) of a point that a pose carries, in axes turned by R (3, 3)."""
-    J = R @ np.hstack([-skew(lever)[0], np.eye(3)])
+    J = R @ np.hstack([-skew(lever), np.eye(3)])
     return np.asarray(J @ covariance @ J.T)
