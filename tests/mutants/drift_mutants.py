@@ -42,8 +42,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "camera_steps_the_wrong_way",
         "a correction doubles the error",
         DRIFT + "moving_parts.py",
-        "skew(point.p_V)[0], -np.eye(3)])",
-        "skew(point.p_V)[0], np.eye(3)])",
+        "skew(point.p_V), -np.eye(3)])",
+        "skew(point.p_V), np.eye(3)])",
         ACCEPTED,
     ),
     one(

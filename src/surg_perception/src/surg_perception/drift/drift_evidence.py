@@ -89,7 +89,7 @@ class Verdict:
         covariance: (P, P) of x.
         beside: How far the newest instruments are seen beside their place [m]: least, expected,
             largest, 95 %.
-        right: Share of the sightings that the best hypothesis explains.
+        misfit: Median squared residual of sightings since, by the best hypothesis [sigma^2].
         since: Stamp of the first sighting after the best part moved [s].
         sightings: How many there are since.
     """
@@ -99,7 +99,7 @@ class Verdict:
     x: FloatArray
     covariance: FloatArray
     beside: tuple[float, float, float]
-    right: float
+    misfit: float
     since: float
     sightings: int
 
@@ -260,7 +260,7 @@ class DriftEvidence:
                 : self._steps, : self._steps
             ],
             beside,
-            float(fits.right[held]),
+            float(np.median(fits.chi[held, -lengths[held // kinds] :])),
             self._kept[-length].stamp,
             length,
         )

@@ -40,14 +40,12 @@ class Fits:
         x: (H, P) steps.
         covariance: (H, P, P) of them.
         log: (H,) logarithms of their evidence.
-        right: (H,) share of each one's sightings that it explains.
         chi: (H, N) squared residuals of all sightings.
     """
 
     x: FloatArray
     covariance: FloatArray
     log: FloatArray
-    right: FloatArray
     chi: FloatArray
 
 
@@ -79,5 +77,4 @@ def fits_of(sums: Sums, mask: FloatArray, mean: FloatArray, prior: FloatArray) -
     log = -cost - 0.5 * bent - 0.5 * np.linalg.slogdet(system)[1]
     covariance = np.linalg.solve(system, prior)
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
-    right = (mask * (chi < 2.0 * WRONG)).sum(axis=1) / np.maximum(mask.sum(axis=1), 1.0)
-    return Fits(x, covariance, log, right, chi)
+    return Fits(x, covariance, log, chi)

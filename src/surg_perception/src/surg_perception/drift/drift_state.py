@@ -15,8 +15,9 @@ LIKELY = 0.8
 """Probability from which a kind of part is named as the cause."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-EXPLAINED = 0.65
-"""Least share of sightings that the best hypothesis explains, so that anybody can tell."""
+MISFIT = 2.0
+"""[sigma^2] Largest median residual of the best hypothesis, so that anybody can tell. A true
+one leaves 0.2 to 0.8, a bump by centimetres 2, another motion than the joints' mostly more."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,13 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    # What joints do not drive looks for the least number of sightings as if a part had moved.
+    # What joints do not drive looks for some sightings as if a part had moved.
     lasting = verdict.sightings > NEWEST
     word = MOVED if verdict.nothing < 1.0 - SURE and lasting else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
     reason, cause, likely = "", "", 0.0
-    if verdict.right < EXPLAINED:
+    if verdict.misfit > MISFIT:
         word, reason = UNKNOWN, "what is seen does not move as the joints say"
     elif word == UNKNOWN:
         reason = "the newest sightings disagree with older ones, too few to be sure"

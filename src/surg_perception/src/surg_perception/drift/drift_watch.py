@@ -42,7 +42,8 @@ WIDER = 0.15
 """A shaft is at most so much wider or narrower than it mostly was, relative."""
 MOMENT = 0.005
 """[s] Joints are taken so long before and behind a picture, for the speed."""
-
+NEAREST = 0.5
+"""Least depth, relative, of a shaft half way through its steps; nearer, derivatives explode."""
 LOST = 10.0
 """[s] Without a sighting for so long while an instrument moves, nobody can tell any more."""
 RADIUS = 0.003
@@ -220,6 +221,8 @@ class DriftWatch:
         There a derivative times a step is exact to second order, whichever part made the step.
         """
         between = axis if x is None else self._half_way(axis, x, {0, *(at for _, at, _ in found)})
+        if (between.p_V[:, 2] < NEAREST * axis.p_V[:, 2]).any():
+            between, x = axis, None  # no bump: what joints do not drive is fitted by any step
         # Along the shaft nothing is seen: what it is beside its place is across.
         s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
         across = np.eye(3) - np.outer(s_V, s_V)
