@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -98,11 +99,19 @@ class Eye:
 
         self.images: list[Image] = []
         self.infos: list[CameraInfo] = []
+        self.probed = False
         root = f"/endoscope/{view}"
         self.topics = [
-            rospy.Subscriber(f"{root}/image_raw", Image, self.images.append),
+            rospy.Subscriber(f"{root}/image_raw", Image, self._on_image),
             rospy.Subscriber(f"{root}/camera_info", CameraInfo, self.infos.append),
         ]
+
+    def _on_image(self, image: Any) -> None:
+        """Of a probe: without a stamp."""
+        if image.header.stamp.is_zero():
+            self.probed = True
+        else:
+            self.images.append(image)
 
 
 def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -148,6 +157,13 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
         )
         if child.exit_code == 1 and "OpenGL" in child.log_tail():
             pytest.skip(child.log_tail())
+
+        def probed() -> bool:
+            """A connection that one end counts may not stand at the other yet."""
+            snapshots.publish(SimSnapshot(qpos=world.data.qpos.tolist()))
+            return all(eye.probed for eye in eyes)
+
+        ros_graph.wait_for(probed, 40.0, "a first pair")
         for k, p_C in enumerate(places, start=1):
             qpos = np.array(world.data.qpos)
             qpos[slides] = X_WC[:3, :3] @ p_C + X_WC[:3, 3] - site.work
