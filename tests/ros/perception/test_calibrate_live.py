@@ -70,6 +70,7 @@ def live(cell: Path, ros_graph: RosGraph, rospy_node: str, tmp_path: Path) -> It
         params = dict(node.params)
         if node.name == "/sim":
             params["connect_timeout"] = 180.0
+            params["abort_timeout"] = 300.0  # no time passes while the collector solves
         ros_graph.node(node.package, node.executable, node.name, params, arguments=node.arguments)
     picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
     pattern = Pattern(np.asarray(picture, np.uint8), (COLUMNS * SQUARE, ROWS * SQUARE))
