@@ -46,3 +46,18 @@ class EyeProjection:
         p = self._X_EV[:3, :3] @ p_V + self._X_EV[:3, 3]
         by_point = self._model.derivatives(p[None])[1][0]
         return np.asarray(by_point @ self._X_EV[:3, :3])
+
+    def plane(self, p_V: FloatArray) -> FloatArray:
+        """Where points (n, 3) before the left eye [m] lie in this eye's plane z = 1, (n, 2)."""
+        p = p_V @ self._X_EV[:3, :3].T + self._X_EV[:3, 3]
+        return np.asarray(p[:, :2] / p[:, 2:])
+
+    def plane_of(self, pixels: FloatArray) -> FloatArray:
+        """What pixels (n, 2) see in this eye's plane z = 1, (n, 2); NaN: beyond the lens."""
+        return self._model.rays(pixels)[:, :2]
+
+    def plane_per_pixel(self, p_V: FloatArray) -> FloatArray:
+        """(2, 2) derivative of that by the pixel, where a point (3,) is seen [1/px]."""
+        p = self._X_EV[:3, :3] @ p_V + self._X_EV[:3, 3]
+        by_point = self._model.derivatives(p[None])[1][0]
+        return np.linalg.inv(by_point[:, :2] * p[2])

@@ -53,9 +53,8 @@ Joints = Callable[[str, float], FloatArray | None]
 """Joints (n,) of an arm [rad] at a time [s]; None: not known."""
 
 
-_Found = tuple[int, int, FloatArray]
-"""Eye, number of the point, and normal (2,) of the line that is seen beside it, so long that it
-gives offsets along the expected axis's normal."""
+_Line = tuple[int, tuple[int, int], FloatArray]
+"""Eye, numbers of two points of the shaft, and the pixels (2, 2) of its seen axis beside them."""
 
 
 class DriftWatch:
@@ -177,8 +176,7 @@ class DriftWatch:
         """Whether one instrument is seen in either eye; takes in what that says."""
         axis = self._newest[name]
         half = self._focal * self._radius(name) / axis.p_V[:, 2]
-        found: list[_Found] = []
-        residuals: list[float] = []
+        lines: list[_Line] = []
         noise: list[float] = []
         for eye, (grey, lit) in enumerate(greys):
             pixels = self._eyes[eye].pixels(axis.p_V)
@@ -190,49 +188,61 @@ class DriftWatch:
             if not self._as_wide_as_ever(axis.arm, seen.width):
                 self.unseen["a shaft of another width is seen"] += 1
                 continue
-            at = np.round(seen.at).astype(int)
-            line = np.diff(pixels[at] + seen.offsets[:, None] * seen.normals, axis=0)[0]
-            across = np.array([-line[1], line[0]])
-            # Offsets are seen along the expected axis's normal, which may cut the line aslant.
-            found += [
-                (eye, int(place), across / (across @ normal))
-                for place, normal in zip(at, seen.normals, strict=True)
-            ]
-            residuals.extend(seen.offsets)
+            first, last = np.round(seen.at).astype(int)
+            beside = pixels[[first, last]] + seen.offsets[:, None] * seen.normals
+            lines.append((eye, (int(first), int(last)), beside))
             noise.extend([seen.sd] * 2)
-        if found:
-            told = stamp, axis, found, np.array(residuals), np.array(noise)
+        if lines:
             known = self.verdict is not None and self.verdict.nothing < STILL_LIKELY
             x = self.verdict.x if self.verdict is not None and known else None
-            self.verdict = self._take(self._sighting(*told, x))
-        return bool(found)
+            self.verdict = self._take(self._sighting(stamp, axis, lines, np.array(noise), x))
+        return bool(lines)
 
     def _sighting(
         self,
         stamp: float,
         axis: ShaftAxis,
-        found: Sequence[_Found],
-        r: FloatArray,
+        lines: Sequence[_Line],
         sd: FloatArray,
         x: FloatArray | None,
     ) -> Sighting:
-        """With derivatives half way to where the steps x (P,) put the shaft.
+        """With derivatives half way to where the steps x (P,) put the shaft, and exact residuals.
 
-        There a derivative times a step is exact to second order, whichever part made the step.
+        Residuals are those of points from the seen line, in the plane that shows a straight shaft
+        straight: a point may have slid along a line that the lens bends.
         """
-        between = axis if x is None else self._half_way(axis, x, {0, *(at for _, at, _ in found)})
-        if (between.p_V[:, 2] < NEAREST * axis.p_V[:, 2]).any():
-            between, x = axis, None  # no bump: what joints do not drive is fitted by any step
+        again = partial(self._sighting, stamp, axis, lines, sd)
+        step = np.zeros(self.parts[-1].at.stop) if x is None else x
+        between = axis
+        if x is not None:
+            between = self._half_way(axis, x, {0, *(at for _, two, _ in lines for at in two)})
+            if (between.p_V[:, 2] < NEAREST * axis.p_V[:, 2]).any():
+                return again(None)  # no bump: what joints do not drive is fitted by any step
+        A, r = [], []
+        for eye, two, pixels in lines:
+            lens = next(p.at for p in self.parts if p.kind == LENS and p.of == EYES[eye])
+            first, last = self._eyes[eye].plane_of(pixels - step[lens])
+            n = np.array([first[1] - last[1], last[0] - first[0]])
+            n *= self._focal / np.linalg.norm(n)
+            for at in two:
+                n_pixel = n @ self._eyes[eye].plane_per_pixel(between.p_V[at])
+                A.append(n_pixel @ self._derivatives(between, eye, at))
+                way = self._derivatives(between, 0, at, metres=True) @ self._without_lenses(step)
+                there = self._eyes[eye].plane((axis.p_V[at] + way)[None])[0]
+                r.append(n @ (first - there) + A[-1] @ step)
         # Along the shaft nothing is seen: what it is beside its place is across.
         s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
         across = np.eye(3) - np.outer(s_V, s_V)
         place = across @ self._derivatives(between, 0, 0, metres=True)
         pixel = float(axis.p_V[0, 2] / self._focal)
-        again = partial(self._sighting, stamp, axis, found, r, sd)
-        A = np.array([n @ self._derivatives(between, eye, at) for eye, at, n in found])
-        if x is not None:
-            r = r + self._beyond(axis, between, found, A, x)
-        return Sighting(stamp, A, r, sd, place, pixel, again)
+        return Sighting(stamp, np.array(A), np.array(r), sd, place, pixel, again)
+
+    def _without_lenses(self, x: FloatArray) -> FloatArray:
+        """The steps (P,) that move the shaft before the eye."""
+        moving = x.copy()
+        for part in self.parts:
+            moving[part.at] *= part.kind != LENS
+        return moving
 
     def _half_way(self, axis: ShaftAxis, x: FloatArray, points: set[int]) -> ShaftAxis:
         """A shaft with these of its points half way to where the steps x (P,) put it."""
@@ -248,25 +258,6 @@ class DriftWatch:
             p_W=axis.p_W + half_V @ axis.R_VW,
             p_TipP_F=p_F + np.linalg.norm(p_F, axis=1)[:, None] * turned_F,
         )
-
-    def _beyond(
-        self,
-        axis: ShaftAxis,
-        between: ShaftAxis,
-        found: Sequence[_Found],
-        A: FloatArray,
-        x: FloatArray,
-    ) -> FloatArray:
-        """(m,) what derivatives A (m, P) say of large steps beyond the projection [px]."""
-        through_points = x.copy()
-        for part in self.parts:
-            through_points[part.at] *= part.kind != LENS
-        beyond = A @ through_points
-        for row, (eye, at, n) in enumerate(found):
-            way = self._derivatives(between, 0, at, metres=True) @ through_points
-            before, after = self._eyes[eye].pixels(axis.p_V[at] + np.array([0.0 * way, way]))
-            beyond[row] -= n @ (after - before)
-        return np.where(np.isfinite(beyond), beyond, 0.0)  # not: behind the eye
 
     def _derivatives(self, axis: ShaftAxis, eye: int, at: int, metres: bool = False) -> FloatArray:
         """(2, P) of the pixel of one point of a shaft by all steps, or (3, P) of its place."""
