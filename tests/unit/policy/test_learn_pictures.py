@@ -369,6 +369,9 @@ def test_it_goes_on_from_what_it_was_last_told_to_do(policy: image_policy.ImageP
         np.testing.assert_array_equal(found, chunk[row, :4], f"at {step}")
     policy.acknowledged({"rejected": []})
     np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), chunk[1, :4])
+    policy.acknowledged({"rejected": [], "late": 2})  # the first two rows: others were executed
+    for step, row in ((11, held), (12, held), (13, chunk[2, :4])):
+        np.testing.assert_array_equal(policy.last_command(held, At(step, arrays)), row)
     policy.acknowledged({"rejected": [{"step": 11, "rule": "start", "text": "too far"}]})
     np.testing.assert_array_equal(policy.last_command(held, At(12, arrays)), held)
 
@@ -392,6 +395,8 @@ def test_how_fast_it_moves_it_knows_from_its_commands(policy: image_policy.Image
         assert not moved(10, behind).any(), "it has not moved yet"
         assert not moved(11, behind)[1:3].any()
         np.testing.assert_allclose(moved(14, behind), [2e-3 / 3, 0, 0, 0.02 / 3], atol=1e-12)
+        policy.acknowledged({"rejected": [], "late": 3})
+        assert moved(15, behind).any(), "its answer was late, and the arm moves on"
         policy.acknowledged({"rejected": [{"step": 15, "rule": "start", "text": "too far"}]})
         assert not moved(16, behind).any(), "it was refused"
 

