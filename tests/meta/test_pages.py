@@ -5,6 +5,7 @@
 
 import contextlib
 import io
+import re
 import sys
 from pathlib import Path
 
@@ -60,6 +61,17 @@ def test_every_command_line_of_the_guide_parses() -> None:
     wrong = [f"{page}: {' '.join(words)}: {mistake(words)}" for page, words in lines]
     assert [text for text in wrong if not text.endswith(": ")] == []
     assert len(lines) > 30
+
+
+def test_a_command_within_a_sentence_is_none_of_before() -> None:
+    """What follows it may be left out; a command or option that has moved may not be named."""
+    wrong = []
+    for page in pages():
+        for command in re.findall(r"`\./surg ([^`|…]+)`", page.read_text("utf-8")):
+            said = mistake(command.split())
+            if said and not said.startswith("usage:") and page.name != "CHANGELOG.md":
+                wrong.append(f"{name(page)}: {command}: {said}")
+    assert wrong == []
 
 
 def test_sentences_of_the_guide_are_short() -> None:

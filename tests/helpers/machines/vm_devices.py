@@ -21,10 +21,9 @@ from evdev import AbsInfo, UInput, ecodes
 import surg_core
 from helpers.control.lagging_arm import TICK, LaggingArm
 from surg_core.arm_view import ArmCommands, JawRange
-from surg_teleop.follow.arm_switch import ArmSwitch
+from surg_teleop.follow.arm_switch import ArmSwitch, Hand
 from surg_teleop.follow.pedal_monitor import PedalMonitor as Feet
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleop_setup import Hand
 from surg_teleop.follow.teleop_types import (
     CameraView,
     ControlMode,

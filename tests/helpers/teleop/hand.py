@@ -40,6 +40,7 @@ class Hand:
 
     p: np.ndarray = field(default_factory=lambda: np.array([0.3, -0.2, 0.1]))
     R: np.ndarray = field(default_factory=lambda: np.eye(3))
+    says: np.ndarray | None = None  # instead of the quaternion of R
     v: np.ndarray = field(default_factory=lambda: np.zeros(3))
     roll_rate: float = 0.0
     spherical: np.ndarray | None = None
@@ -60,13 +61,17 @@ class Hand:
         """Turns about axes of the view [rad]."""
         self.R = Rotation.from_rotvec(rotation_vector).as_matrix() @ self.R
 
+    def q(self) -> np.ndarray:
+        """Its quaternion x, y, z, w."""
+        return Rotation.from_matrix(self.R).as_quat() if self.says is None else self.says
+
     def sample(self, now: float) -> LeaderSample | None:
         """Its newest sample; an old one where it does not speak."""
         if self.speaks:
             p = np.full(3, np.nan) if self.broken else self.p
             self.said = LeaderSample(
                 stamp=now,
-                pose=HandlePose(p, self.R) if ControlMode.POSITION in self.offers else None,
+                pose=HandlePose(p, self.q()) if ControlMode.POSITION in self.offers else None,
                 rate=(
                     HandRate(self.v, self.roll_rate, self.spherical, self.tilt)
                     if ControlMode.RATE in self.offers

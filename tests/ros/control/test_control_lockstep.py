@@ -338,13 +338,16 @@ def test_f15_broken_parameters_exit_with_2(
     assert part in child.log_tail(20)
 
 
-def test_the_node_has_the_loader_s_verdict_on_a_urdf(ros_graph: RosGraph, tmp_path: Path) -> None:
+def test_the_node_has_the_loader_s_verdict_on_a_urdf(
+    ros_graph: RosGraph, tmp_path: Path, full: bool
+) -> None:
     def described() -> bool:
         return bool(master.call(ros_graph.uri, "hasParam", DESCRIPTION))
 
-    variants = urdf_variants.draw(tmp_path, 12, seed=49)
-    usable = [variant for variant in variants if variant.wanted][:2]
-    refused = [variant for variant in variants if not variant.wanted][:2]
+    variants = urdf_variants.draw(tmp_path, 30, seed=49)
+    each = len(variants) if full else 2
+    usable = [variant for variant in variants if variant.wanted][:each]
+    refused = [variant for variant in variants if not variant.wanted][:each]
     for number, variant in enumerate(refused + usable):
         cell = urdf_variants.write_cell(tmp_path / str(number), variant)
         settings: dict[str, object] = {"cell": str(cell), "arm": "PSM1"}
@@ -361,6 +364,7 @@ def test_the_node_has_the_loader_s_verdict_on_a_urdf(ros_graph: RosGraph, tmp_pa
         master.call(ros_graph.uri, "deleteParam", DESCRIPTION)
         child.process.send_signal(signal.SIGINT)
         child.process.wait(20)
+    print(f"{len(usable)} usable, {len(refused)} refused")
 
 
 def test_parameters_are_read_once(ros_graph: RosGraph, rig: Rig) -> None:

@@ -58,7 +58,7 @@ class Leader:
             at["clutch"] = [self.clutched]
             at["record"].append(self.clutched + 6.0)
         down = {name for name, times in at.items() if any(x <= t < x + 0.4 for x in times)}
-        pose, buttons = HandlePose(p, np.eye(3)), frozenset(down | {"present"})
+        pose, buttons = HandlePose(p, np.eye(4)[3]), frozenset(down | {"present"})
         return LeaderSample(stamp=now, pose=pose, buttons=buttons)
 
     def close(self):

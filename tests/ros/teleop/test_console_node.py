@@ -35,6 +35,7 @@ from surg_ros.params import ParamError  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
+TURNED = [0.0, 0.0, float(np.sin(0.2)), float(np.cos(0.2))]
 HEARD = {
     "/browser/measured_cp": PoseStamped,
     "/browser/measured_cv": TwistStamped,
@@ -157,7 +158,7 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
 
             await found.drive()
             assert bench.of("/console/operator_present")[-1].buttons[0] == 1
-            found.hand = {"hand": "position", "p": [0.01, 0.02, 0.03], "roll": 0.4, "grip": 0.7}
+            found.hand = {"hand": "position", "p": [0.01, 0.02, 0.03], "q": TURNED, "grip": 0.7}
             await when(
                 lambda: any(m.pose.position.z == 0.03 for m in bench.of("/browser/measured_cp")),
                 "the pose",

@@ -20,7 +20,6 @@ from surg_console.session.operator_messages import HIDDEN
 from surg_console.session.system_state import Arm, Follower, Robot
 from surg_console.web.page_protocol import Input
 from surg_core.hand.leader_sample import HandlePose, LeaderSample
-from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.teleop_types import CameraView, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
@@ -94,9 +93,7 @@ class Bench:
                 _, order = queue.popleft()
                 if isinstance(order, Move):
                     self.moves.append(order.sample)
-                    pose = HandlePose(
-                        np.array(order.sample.p), quaternion_xyzw_to_matrix(order.sample.q)
-                    )
+                    pose = HandlePose(np.array(order.sample.p), np.array(order.sample.q))
                     self.sample = LeaderSample(self.now, pose=pose, grip=order.sample.grip)
                 elif isinstance(order, EnableTeleop):
                     self.switch.enable() if order.value else self.switch.disable()

@@ -17,7 +17,7 @@ INPUT = {
     "picture_us": 1_795_262_692_265_404,
     "hand": "rate",
     "p": [0.1, -0.2, 0.3],
-    "roll": 0.5,
+    "q": [0.0, 0.0, 0.6, 0.8],
     "v": [0.01, 0, -0.02],
     "roll_rate": 1,
     "tilt_x": -0.5,
@@ -32,6 +32,7 @@ def test_an_input_is_read_as_it_was_written() -> None:
     assert isinstance(said, page_protocol.Input)
     assert said.seq == 7 and said.picture_us == 1_795_262_692_265_404
     assert said.p == (0.1, -0.2, 0.3) and said.v == (0.01, 0.0, -0.02)
+    assert said.q == (0.0, 0.0, 0.6, 0.8)
     assert said.tilt == (-0.5, 0.0)
     assert said.grip == 0.25 and said.clutch and not said.camera
 
@@ -64,6 +65,10 @@ def test_an_input_is_read_as_it_was_written() -> None:
         (json.dumps({**INPUT, "q": [0, 0, 0, 0]}), "q: a quaternion of length 0"),
         (json.dumps({**INPUT, "q": [0, 0, 1]}), "allowed: four numbers"),
         (json.dumps({**INPUT, "squeeze": True}), "squeeze: allowed with hand position and q only"),
+        (
+            '{"say": "input", "seq": 1, "at": 1, "hand": "position", "squeeze": true}',
+            "and q only",
+        ),
         (json.dumps({**INPUT, "squeeze": 1, "q": [0, 0, 0, 1]}), "squeeze: 1; allowed: true or"),
         ("[" * 3000, "invalid JSON"),
         ("x" * 5000, "a message of 5000 characters"),
@@ -80,7 +85,6 @@ def test_broken_inputs_never_get_through() -> None:
     bad = [None, "x", [], {}, True, -1, 1e9, [1, 2], [1, 2, "3"], [1, 2, None], [0, 0, 1e3], 0.5]
     allowed = {
         "grip": [None, 0.5],
-        "roll": [-1, 0.5],
         "roll_rate": [-1, 0.5],
         "tilt_x": [-1, 0.5],
         "at": [1e9, 0.5],
@@ -112,4 +116,4 @@ def test_random_bytes_are_refused() -> None:
         except page_protocol.ProtocolError:
             continue
         assert isinstance(said, page_protocol.Input)
-        assert np.isfinite([*said.p, *said.v, said.roll, said.roll_rate, said.at]).all()
+        assert np.isfinite([*said.p, *said.v, *said.q, said.roll_rate, said.at]).all()

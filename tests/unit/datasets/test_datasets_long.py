@@ -79,7 +79,7 @@ def test_pieces_hold_every_frame_once(recordings: list[Path]) -> None:
 def test_a_long_table_gives_the_rows_that_a_whole_one_has(recordings: list[Path]) -> None:
     recorded = episode_reader.read(recordings[0])
     whole = recorded.cycle("PSM1")
-    table = long_table.cycles(recorded, "PSM1")
+    table = long_table.read(recorded, "cycle_PSM1")
     few = {"stamp_ns", "homed", "command", "accepted", "roll", "roll_goal", "roll_set"}
     assert set(table.index.columns) == few, "memory per row grows with these"
     per_row = sum(table.index[name].itemsize for name in few)

@@ -12,7 +12,6 @@ from helpers.results.dataset_results import note
 from surg_core.contract import SECOND_NS
 from surg_recording.datasets.frames.resample import (
     Grid,
-    ages_s,
     linear,
     offsets_ns,
     previous,
@@ -64,9 +63,9 @@ def test_previous_is_the_newest_that_is_not_later(full: bool) -> None:
         index = previous(stamps, times, "x")
         for time, found in zip(times, index, strict=True):
             assert found == max(i for i, stamp in enumerate(stamps) if stamp <= time)
-        ages = ages_s(stamps, index, times)
+        ages = times - stamps[index]
         assert (ages >= 0).all()
-        oldest = int((times - stamps[index]).max())
+        oldest = int(ages.max())
         assert (previous(stamps, times, "x", oldest) == index).all()
         if oldest:
             with pytest.raises(EpisodeError, match=r"newest sample at frame \d+ .* ms old"):

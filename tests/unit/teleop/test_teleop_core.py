@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -337,10 +338,13 @@ def test_a_pose_that_is_not_a_number_is_a_fault_with_the_device_named() -> None:
     assert bench.tick(500).state is TeleopState.FAULT
 
 
-def test_a_pose_that_is_no_rotation_is_a_fault() -> None:
+@pytest.mark.parametrize("says", [[0, 0, 0, 1.01], [0, 0, 0, 0], [0, 0, 1], np.eye(3)])
+def test_a_pose_that_is_no_rotation_is_a_fault(says: Any) -> None:
     bench = Bench().engaged()
-    bench.hand.R = np.diag([1.0, 1.0, -1.0])  # mirrored
-    assert bench.tick().state is TeleopState.FAULT
+    bench.hand.says = np.array(says, dtype=float)
+    out = bench.tick()
+    assert out.state is TeleopState.FAULT
+    assert "no unit quaternion x, y, z, w" in out.message
 
 
 def test_a_leader_that_says_it_is_not_ready_is_not_followed() -> None:

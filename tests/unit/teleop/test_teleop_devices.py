@@ -12,8 +12,7 @@ import pytest
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
 from helpers.teleop.input_devices import GAMEPAD, Machine, Plugged
-from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.teleop_setup import REOPEN, Hand
+from surg_teleop.follow.arm_switch import REOPEN, ArmSwitch, Hand
 from surg_teleop.follow.teleop_types import CameraView, ControlMode, TeleopOutput, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad

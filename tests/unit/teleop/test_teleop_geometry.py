@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.teleop.hand import WORKSPACE
 from surg_core.hand.leader_sample import HandlePose
-from surg_teleop.leaders.handle_roll import Handle
+from surg_teleop.follow.straight_target import Handle
 
 
 def test_roll_is_the_twist_of_swing_and_twist() -> None:
@@ -16,7 +16,7 @@ def test_roll_is_the_twist_of_swing_and_twist() -> None:
     rng = np.random.default_rng(3)
     for _ in range(300):
         R_0 = Rotation.random(random_state=rng.integers(2**31))
-        handle = Handle(HandlePose(np.zeros(3), R_0.as_matrix()))
+        handle = Handle(HandlePose(np.zeros(3), R_0.as_quat()))
         turn = 0.0
         for _ in range(40):
             turn += rng.uniform(-0.4, 0.4)
@@ -24,16 +24,16 @@ def test_roll_is_the_twist_of_swing_and_twist() -> None:
             swing = rng.uniform(0.0, 2.5)
             axis = [swing * math.cos(direction), swing * math.sin(direction), 0.0]
             R = R_0 * Rotation.from_rotvec(axis) * Rotation.from_euler("z", turn)
-            handle.move(HandlePose(np.zeros(3), R.as_matrix()))
+            handle.move(HandlePose(np.zeros(3), R.as_quat()))
             assert handle.roll == pytest.approx(turn, abs=1e-9)
 
 
 def test_a_handle_that_points_back_keeps_its_roll() -> None:
-    handle = Handle(HandlePose(np.zeros(3), np.eye(3)))
+    handle = Handle(HandlePose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])))
     rolls = []
     for angle in np.arange(0.0, 2.0 * math.pi, 0.01):  # once head over heels
-        R = Rotation.from_euler("x", angle).as_matrix()
-        handle.move(HandlePose(np.zeros(3), R))
+        R = Rotation.from_euler("x", angle)
+        handle.move(HandlePose(np.zeros(3), R.as_quat()))
         rolls.append(handle.roll)
     assert np.abs(rolls).max() < 1e-9
 

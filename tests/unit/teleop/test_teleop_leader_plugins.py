@@ -9,9 +9,8 @@ import pytest
 from helpers.control.gate_arm import TICK
 from helpers.teleop.hand import settings
 from surg_cli.host import paths
-from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.teleop_setup import REOPEN
-from surg_teleop.follow.teleop_setup import Hand as SeatedHand
+from surg_teleop.follow.arm_switch import REOPEN, ArmSwitch
+from surg_teleop.follow.arm_switch import Hand as SeatedHand
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
@@ -46,7 +45,7 @@ class Still:
     def open(self):
         pass
     def read(self, now):
-        return LeaderSample(now, HandlePose(np.array([0.0, 0.0, self.depth]), np.eye(3)))
+        return LeaderSample(now, HandlePose(np.array([0.0, 0.0, self.depth]), np.eye(4)[3]))
     def close(self):
         pass
 '''

@@ -266,17 +266,24 @@ def twist_angle(rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
 
 
 def multiply_quaternions(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Products of quaternions x, y, z, w, ``(N, 4)``, row by row: first b, then a."""
+    """Products of quaternions x, y, z, w, ``(…, 4)``, row by row: first b, then a."""
     ax, ay, az, aw = a.T
     bx, by, bz, bw = b.T
-    return np.column_stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
+    product = (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
     )
+    return np.stack(product, axis=-1)
+
+
+def turn_between(q: FloatArray, q_next: FloatArray) -> FloatArray:
+    """Rotation vector (3,) [rad] that turns a quaternion ``(4,)`` into the next; at most pi."""
+    *v, w = multiply_quaternions(q_next, q * [-1.0, -1.0, -1.0, 1.0]).tolist()
+    sine = math.hypot(*v)
+    angle = 2.0 * math.atan2(sine, abs(w))
+    return np.array(v) * (math.copysign(angle, w) / sine if sine > 0.0 else 0.0)
 
 
 def rotate(q_AB: FloatArray, v_B: FloatArray) -> FloatArray:

@@ -9,7 +9,6 @@ import rospy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState, Joy
 
-from surg_core import matrix_to_quaternion_xyzw
 from surg_core.contract import SECOND_NS, VIRTUAL_JOINTS
 from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
 
@@ -57,7 +56,7 @@ def pose_message(pose: HandlePose) -> PoseStamped:
     message = PoseStamped()
     p, q = message.pose.position, message.pose.orientation
     p.x, p.y, p.z = pose.p_VH.tolist()
-    q.x, q.y, q.z, q.w = matrix_to_quaternion_xyzw(pose.R_VH).tolist()
+    q.x, q.y, q.z, q.w = pose.q_VH.tolist()
     return message
 
 

@@ -12,9 +12,7 @@ from std_msgs.msg import Bool, Empty, Float64, String
 from crtk_msgs.msg import StringStamped
 from surg_console.session import console_orders as orders
 from surg_console.web.page_protocol import Input
-from surg_core import rpy_to_matrix
 from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
-from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import CalibrationRequest
 from surg_ros.leader_port import LeaderTopics, joy_message, wall_time
 
@@ -83,9 +81,7 @@ class OrderTopics:
 def leader_sample(page: Input) -> LeaderSample:
     """An input of the page as a leader's sample: the part that its kind of hand drives."""
     if page.hand == "position":
-        rolled = rpy_to_matrix((0.0, 0.0, page.roll))
-        turned = rolled if page.q is None else quaternion_xyzw_to_matrix(page.q)
-        pose = HandlePose(np.array(page.p), turned)
+        pose = HandlePose(np.array(page.p), np.array(page.q))
         return LeaderSample(page.at, pose=pose, grip=page.grip)
     rate = HandRate(np.array(page.v), page.roll_rate, tilt=np.array(page.tilt))
     return LeaderSample(page.at, rate=rate, grip=page.grip)

@@ -50,7 +50,7 @@ class DeadMan:
         self._move_pedals(sample.camera, now)
         settled = now - self._since >= SETTLE
         counts = settled and not self._clutched and not sample.clutch
-        if counts and sample.q is not None:
+        if counts:
             self._add(np.array(sample.p), np.array(sample.q))
         else:
             self._last = None
@@ -63,7 +63,6 @@ class DeadMan:
             hand="position",
             p=(x, y, z),
             q=(qx, qy, qz, qw),
-            roll=0.0,
             v=(0.0, 0.0, 0.0),
             roll_rate=0.0,
             tilt=(0.0, 0.0),
@@ -87,7 +86,7 @@ class DeadMan:
         if self._last is not None:
             last_p, last_q = self._last
             self._p = self._p + p - last_p
-            turn = multiply_quaternions(last_q * _CONJUGATE, q)[0]
-            turned = multiply_quaternions(self._q, turn)[0]
+            turn = multiply_quaternions(last_q * _CONJUGATE, q)
+            turned = multiply_quaternions(self._q, turn)
             self._q = turned / np.linalg.norm(turned)
         self._last = p, q

@@ -11,16 +11,20 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
+from surg_console.session import operator_messages
 from surg_console.session.console_session import ConsoleSession
+from surg_console.session.system_state import Robot
 from surg_console.web.admission import ENDED
 from surg_console.web.page_connection import MessageBudget, Outbox
-from surg_console.web.page_dispatch import dispatch
 from surg_console.web.page_protocol import (
     JUDGEMENTS,
+    Hidden,
+    Input,
     PageMessage,
     Ping,
     Press,
     ProtocolError,
+    Scale,
     parse,
 )
 from surg_console.web.running_system import RunningSystem
@@ -138,7 +142,7 @@ class ControlPages:
         stops = isinstance(message, Press) and message.button == "stop"
         if self.ending and not stops:
             return
-        refused = dispatch(self._session, message, page, self._system.robot(), now)
+        refused = _pass_on(self._session, message, page, self._system.robot(), now)
         self.send_orders()
         if refused:
             outbox.reply(json.dumps({"say": "refused", "why": refused}))
@@ -165,3 +169,49 @@ async def _send_texts(socket: web.WebSocketResponse, outbox: Outbox) -> None:
         while True:
             for text in await outbox.take():
                 await socket.send_str(text)
+
+
+def _pass_on(
+    session: ConsoleSession, message: PageMessage, page: str, robot: Robot, now: float
+) -> str:
+    """Hand a message to the session; returns why it is refused.
+
+    Raises:
+        ProtocolError: It belongs on another socket.
+    """
+    if isinstance(message, Input):
+        session.receive(page, message, now)
+        return ""
+    if isinstance(message, Press):
+        return _press(session, message, page, robot, now)
+    if isinstance(message, Hidden):
+        session.hide(page, message.why)
+        return ""
+    if isinstance(message, Scale):
+        return session.scale(page, message.value)
+    raise ProtocolError(f"{type(message).__name__.lower()} does not belong on this socket")
+
+
+def _press(session: ConsoleSession, message: Press, page: str, robot: Robot, now: float) -> str:
+    in_time = session.in_time(page, message.at, now)
+    if message.button == "stop":  # obeyed however late
+        session.stop(robot, page)
+        return ""
+    if message.button == "release":
+        session.release(page)
+        return ""
+    if not in_time:
+        return operator_messages.LATE
+    if message.button == "take":
+        return session.take(page, now)
+    if message.button == "enable":
+        return session.enable(page, robot, now)
+    if message.button == "guide_home":
+        return session.guide_home(page, robot)
+    if message.button == "policy":
+        return session.policy(page, robot, now)
+    if message.button == "new_episode":
+        return session.new_episode(page, robot, now)
+    if message.button in JUDGEMENTS:
+        return session.judge(page, robot)
+    return session.record(page, robot, message.button == "record")

@@ -16,8 +16,8 @@ REACH = 10.0
 """[m] Largest coordinate of a handle; a page counts from zero."""
 FASTEST = 0.2
 """[m/s] Largest speed of a tip, per axis."""
-ROLL_REACH, ROLL_FASTEST = 1e3, 10.0
-"""[rad], [rad/s]."""
+ROLL_FASTEST = 10.0
+"""[rad/s]."""
 SCALES = (0.05, 1.0)
 """Smallest and largest scale of the console."""
 HANDS = ("position", "rate")
@@ -45,15 +45,14 @@ class Input:
     picture_us: int = 0  # exposure stamp of the picture on the screen [µs]; 0: none yet
     hand: str = "position"  # "position" (mouse) or "rate" (keys, gamepad)
     p: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (3,) handle [m]
-    roll: float = 0.0  # of the handle about z [rad]
+    # (4,) orientation of the handle, x y z w, whose third axis points out of the hand
+    q: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
     v: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (3,) velocity of the tip [m/s]
     roll_rate: float = 0.0  # [rad/s]
     tilt: tuple[float, float] = (0.0, 0.0)  # rates of a wrist about x and y [rad/s]
     grip: float | None = None  # 0 closed to 1 open; None: never touched
     clutch: bool = False  # the clutch is held
     camera: bool = False  # the camera pedal is held
-    # (4,) orientation of the handle, x y z w, whose third axis points out of the hand; None: `roll`
-    q: tuple[float, float, float, float] | None = None
     squeeze: bool | None = None  # a dead-man is held; None: the hand has none
     tracked: bool = True  # the headset sees the controller
 
@@ -152,6 +151,9 @@ class _Keys:
     def __init__(self, fields: dict[str, Any]) -> None:
         self._fields = fields
 
+    def has(self, key: str) -> bool:
+        return key in self._fields
+
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
         value = self._fields.pop(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -173,10 +175,8 @@ class _Keys:
         x, y, z = (_Keys({key: item}).number(key, -reach, reach) for item in value)
         return x, y, z
 
-    def quaternion(self, key: str) -> tuple[float, float, float, float] | None:
-        value = self._fields.pop(key, None)
-        if value is None:
-            return None
+    def quaternion(self, key: str) -> tuple[float, float, float, float]:
+        value = self._fields.pop(key, [0.0, 0.0, 0.0, 1.0])
         if not isinstance(value, list) or len(value) != 4:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: four numbers")
         x, y, z, w = (_Keys({key: item}).number(key, -2.0, 2.0) for item in value)
@@ -217,13 +217,14 @@ _STAMP = 2**53
 
 
 def _input(keys: _Keys) -> Input:
+    turned = keys.has("q")
     read = Input(
         seq=keys.whole("seq", _STAMP),
         at=keys.number("at", 0.0, _CLOCK),
         picture_us=keys.whole("picture_us", _STAMP, 0),
         hand=keys.word("hand", HANDS),
         p=keys.vector("p", REACH),
-        roll=keys.number("roll", -ROLL_REACH, ROLL_REACH, 0.0),
+        q=keys.quaternion("q"),
         v=keys.vector("v", FASTEST),
         roll_rate=keys.number("roll_rate", -ROLL_FASTEST, ROLL_FASTEST, 0.0),
         tilt=(
@@ -233,11 +234,10 @@ def _input(keys: _Keys) -> Input:
         grip=keys.grip(),
         clutch=keys.flag("clutch"),
         camera=keys.flag("camera"),
-        q=keys.quaternion("q"),
         squeeze=keys.optional_flag("squeeze"),
         tracked=keys.flag("tracked", True),
     )
-    if read.squeeze is not None and (read.hand != "position" or read.q is None):
+    if read.squeeze is not None and (read.hand != "position" or not turned):
         raise ProtocolError("squeeze: allowed with hand position and q only")
     return read
 

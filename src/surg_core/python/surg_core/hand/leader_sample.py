@@ -8,8 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from surg_core.arm_view import Array
 
 BUTTONS = frozenset(
@@ -26,10 +24,9 @@ BUTTONS = frozenset(
 )
 """Names of buttons; a sample holds those that are down."""
 
-_IDENTITY = np.eye(3)
-ROTATION_TOLERANCE = 1e-3
-"""Largest entry of R R^T - I of a handle's orientation, as left by single precision. A larger one
-means a broken driver, and its roll would be wrong."""
+UNIT_TOLERANCE = 1e-3
+"""Largest deviation of a squared quaternion's length from 1, as left by single precision. A larger
+one means a broken driver, and its roll would be wrong."""
 
 
 @dataclass(frozen=True)
@@ -38,16 +35,16 @@ class HandlePose:
 
     Attributes:
         p_VH: (3,) handle [m].
-        R_VH: (3, 3) its orientation. The third column is the handle axis, about which the hand
-            rolls; it points out of the hand, like the instrument.
+        q_VH: (4,) its orientation x, y, z, w. Its z is the handle axis, about which the hand rolls;
+            it points out of the hand, like the instrument.
     """
 
     p_VH: Array
-    R_VH: Array
+    q_VH: Array
 
     def finite(self) -> bool:
-        """Whether every number is finite and R_VH is a rotation."""
-        return _is_vector(self.p_VH) and _is_rotation(self.R_VH)
+        """Whether every number is finite and q_VH is a unit quaternion."""
+        return _is_vector(self.p_VH) and _is_unit(self.q_VH)
 
 
 @dataclass(frozen=True)
@@ -115,8 +112,5 @@ def _is_vector(value: Array) -> bool:
     return value.shape == (3,) and math.isfinite(float(value.sum()))
 
 
-def _is_rotation(value: Array) -> bool:
-    if value.shape != (3, 3):
-        return False
-    defect = float(np.abs(value @ value.T - _IDENTITY).max())
-    return defect <= ROTATION_TOLERANCE and bool(np.linalg.det(value) > 0.0)  # False for NaN
+def _is_unit(value: Array) -> bool:
+    return value.shape == (4,) and abs(float(value @ value) - 1.0) <= UNIT_TOLERANCE  # not NaN

@@ -12,7 +12,8 @@ from surg_recording.calibration import calibration_record
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import table_columns
-from surg_recording.episode.checked.checked_reading import WRIST, segment_of
+from surg_recording.episode.checked.checked_reading import segment_of
+from surg_recording.episode.checked.long_table import WRIST
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video.video_encoder import ENCODINGS

@@ -33,14 +33,9 @@ _ORDER = (
     "observation.",
     "next.",
     "instruction.",
+    TASK_STATE_KEY,
     "privileged.",
 )
-
-
-def rank(name: str) -> int:
-    """Order of a feature: state and action first, because lerobot takes the first that it finds."""
-    ranks = [i for i, prefix in enumerate(_ORDER) if name.startswith(prefix)]
-    return ranks[0] if ranks else len(_ORDER)
 
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -66,6 +61,12 @@ class Feature:
     privileged: bool = False
     """Ground truth that no robot can measure."""
     camera: str = ""
+
+    @property
+    def rank(self) -> int:
+        """Its order: state and action first, because lerobot takes the first that it finds."""
+        ranks = [i for i, prefix in enumerate(_ORDER) if self.name.startswith(prefix)]
+        return ranks[0] if ranks else len(_ORDER)
 
     @property
     def is_video(self) -> bool:

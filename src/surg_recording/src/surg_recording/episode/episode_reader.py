@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from surg_core.contract import SECOND_NS
 from surg_recording.episode import integrity, labels, manifest_check
 from surg_recording.episode.table import Table, Video
 from surg_recording.episode.table_file import concatenated, read_blocks, read_table
@@ -101,6 +102,14 @@ class Episode:
     def complete(self) -> bool:
         """Whether the recording ended normally and nothing was lost."""
         return self.manifest.get("outcome") == "complete"
+
+    def bridged_ns(self, least_ns: int) -> int:
+        """Longest time between two samples that is no gap [ns]: of an import 1.5 of its periods."""
+        imported = self.manifest.get("imported")
+        period = imported.get("period_s") if isinstance(imported, dict) else None
+        if not isinstance(period, float) or not 0.0 < period < 10.0:
+            return least_ns
+        return max(least_ns, round(1.5 * period * SECOND_NS))
 
     def holding(self, tables: Mapping[str, Table]) -> Episode:
         """The same episode with these tables instead of those in its files."""

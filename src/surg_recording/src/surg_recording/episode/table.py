@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from surg_recording.episode import table_columns
 from surg_recording.recording_errors import EpisodeError
 
 Column = npt.NDArray[Any]
+
+LARGEST = 1e6
+"""No measured position, angle, speed or force is larger [SI]."""
 
 
 class Table:
@@ -70,6 +73,16 @@ class Table:
     def select(self, rows: npt.NDArray[Any] | slice) -> Table:
         """The table with these rows only."""
         return Table(self.name, {name: kept[rows].copy() for name, kept in self._arrays.items()})
+
+    def require_finite(self, path: Path, columns: Sequence[str]) -> None:
+        """Refuse a value that cannot have been measured, by an EpisodeError."""
+        for column in columns:
+            values = self[column]
+            bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
+            if len(bad):
+                value, stamp = values[bad[0]], self["stamp_ns"][bad[0]]
+                what = f"{value:g} is too large" if np.isfinite(value) else "not a number"
+                raise EpisodeError(f"{path}, column {column}: {what} at stamp_ns {stamp}")
 
 
 @dataclasses.dataclass(frozen=True)

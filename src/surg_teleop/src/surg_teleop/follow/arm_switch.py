@@ -1,4 +1,4 @@
-"""One leader, two arms: an instrument, and the endoscope while the camera pedal is down.
+"""A leader and its arms: an instrument, and the endoscope while the camera pedal is down.
 
 The arm that the leader does not drive is clutched. Both arms go through the same :class:`Teleop`
 and the same controller, so switching arms cannot jump any more than a clutch can.
@@ -6,6 +6,8 @@ and the same controller, so switching arms cannot jump any more than a clutch ca
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -13,6 +15,10 @@ from surg_core.arm_view import ArmView
 from surg_core.hand.leader_sample import LeaderSample
 from surg_teleop.follow.teleop_types import CameraView, TeleopOutput, TeleopState
 from surg_teleop.follow.teleoperation import Teleop
+from surg_teleop.leaders.leader import Leader, LeaderError
+
+REOPEN = 1.0
+"""[s] Interval between attempts to open a lost device."""
 
 
 @dataclass
@@ -70,6 +76,41 @@ class ArmSwitch:
                 view = replace(camera, moved="")
             outputs[name] = teleop.tick(now, arm_sample, views.get(name), view)
         return outputs
+
+
+@dataclass
+class Hand:
+    """A leader and the arms that it drives."""
+
+    leader: Leader
+    switch: ArmSwitch
+    problem: str = "it has not been opened yet"  # why the leader cannot be read; empty if it can
+    retry: float = -math.inf  # time of the next attempt to open it [s]
+    buttons: frozenset[str] = frozenset()
+
+    def read(self, now: float) -> LeaderSample | None:
+        """The newest sample; a lost device is reopened periodically."""
+        try:
+            if self.problem:
+                if now < self.retry:
+                    return None
+                self.leader.open()
+                self.problem = ""
+            return self.leader.read(now)
+        except Exception as error:
+            # A user's leader may raise anything; its arm must be let go all the same.
+            known = isinstance(error, LeaderError)
+            self.problem = str(error) if known else f"{type(error).__name__}: {error}"
+            self.retry = now + REOPEN
+            with contextlib.suppress(Exception):
+                self.leader.close()
+            return None
+
+    def pressed(self, sample: LeaderSample | None) -> frozenset[str]:
+        """Buttons that have just gone down."""
+        now = sample.buttons if sample is not None else self.buttons
+        new, self.buttons = now - self.buttons, now
+        return new
 
 
 def _clutched(sample: LeaderSample | None) -> LeaderSample | None:

@@ -11,7 +11,7 @@ from typing import Any
 import rospy
 from std_msgs.msg import Float64, String
 
-from surg_teleop.follow.teleop_setup import Hand
+from surg_teleop.follow.arm_switch import Hand
 
 
 class ConsoleTopics:

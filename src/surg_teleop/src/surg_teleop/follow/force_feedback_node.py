@@ -9,8 +9,9 @@ import rospy
 from geometry_msgs.msg import WrenchStamped
 
 from surg_core.arm_view import ArmView
+from surg_teleop.follow.arm_switch import Hand
 from surg_teleop.follow.force_feedback import ForceFeedback
-from surg_teleop.follow.teleop_setup import ASSISTANT, Hand
+from surg_teleop.follow.teleop_setup import ASSISTANT
 from surg_teleop.follow.teleop_types import CameraView, TeleopOutput, TeleopState
 
 VIEW = "view"

@@ -108,8 +108,8 @@ def _leader(inputs: TeleopInputs, settings: TeleopSettings, mode: ControlMode) -
     if not inputs.valid:
         return Notice(
             Reason.LEADER_INVALID,
-            f"{name} sends values that are not finite or not a rotation; check the device and its "
-            "driver, then press enable",
+            f"{name} sends values that are not finite or no unit quaternion x, y, z, w; check the "
+            "device and its driver, then press enable",
             fault=True,
         )
     if sample.problem:

@@ -11,9 +11,9 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
+from surg_teleop.follow.arm_switch import Hand
 from surg_teleop.follow.console_topics_node import ConsoleTopics
 from surg_teleop.follow.pedal_monitor import PedalMonitor
-from surg_teleop.follow.teleop_setup import Hand
 from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
 from surg_teleop.follow.teleop_types import ControlMode
 from surg_teleop.follow.teleoperation import Teleop

@@ -1,14 +1,49 @@
-"""The target of a hand that holds a straight instrument: its tip, and the roll about its shaft."""
+"""The target of a hand that holds a straight instrument: its tip, and the roll about its shaft.
+
+An instrument in a trocar has four degrees of freedom: of a handle's orientation only the roll about
+its own axis is used, by swing–twist. The swing, its pitch and yaw, is ignored, so there is nothing
+to align.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from surg_core.arm_view import ArmView, Array, TipPose
-from surg_core.hand.leader_sample import LeaderSample
+from surg_core.hand.leader_sample import HandlePose, LeaderSample
+from surg_core.transforms import multiply_quaternions
 from surg_teleop.follow.target_pose import StepLimits, TargetPose
-from surg_teleop.leaders.handle_roll import Handle
 from surg_teleop.playback.workspace_fit import Workspace
+
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+MIN_TWIST = 0.17
+"""|cos(swing / 2)| of a hand must exceed this, 160 degrees of swing: near the singularity a little
+tremor is much roll. A hand that has turned so far is latched anew."""
+
+
+class Handle:
+    """A live hand: its position, and its roll since it was latched, sample by sample."""
+
+    def __init__(self, pose: HandlePose) -> None:
+        self._latched = pose.q_VH
+        self._offset = 0.0
+        self.p: Array = pose.p_VH
+        """(3,) newest position in V [m]."""
+        self.roll = 0.0
+        """Roll since the first sample, unwrapped [rad]."""
+
+    def move(self, pose: HandlePose) -> None:
+        """The next sample."""
+        self.p = pose.p_VH
+        _, _, z, w = multiply_quaternions(self._latched * _CONJUGATE, pose.q_VH).tolist()
+        turn = math.remainder(2.0 * math.atan2(z, w) - (self.roll - self._offset), math.tau)
+        if math.hypot(z, w) < MIN_TWIST:
+            # The swing is too large to tell the roll: go on from here, the roll as it is.
+            self._latched, self._offset = pose.q_VH, self.roll
+            return
+        self.roll += turn
 
 
 class StraightTarget(TargetPose):

@@ -37,11 +37,12 @@ from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.byte_topics import BytesSubscriber
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
+from surg_teleop.follow.arm_switch import Hand
 from surg_teleop.follow.force_feedback_node import ForceFeedbackTopics
 from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.servo_instrument import ServoInstrument
-from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
+from surg_teleop.follow.teleop_setup import ASSISTANT, TeleopSetup, read_setup
 from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
 from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.leaders.bundled.crtk import CrtkLeader

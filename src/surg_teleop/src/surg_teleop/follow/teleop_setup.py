@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import surg_core
 from surg_core.arm_view import Array, JawRange
-from surg_core.hand.leader_sample import LeaderSample
 from surg_core.held_endoscope import HeldEndoscope, held_endoscope
 from surg_ros.params import ParamError, dictionary, flag, one_of, read, real, text, vector
-from surg_teleop.follow.arm_switch import ArmSwitch
+from surg_teleop.follow.arm_switch import ArmSwitch, Hand
 from surg_teleop.follow.servo_instrument import ServoInstrument
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import (
@@ -24,11 +21,9 @@ from surg_teleop.follow.teleop_types import (
 )
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
-from surg_teleop.leaders.leader import Leader, LeaderError
+from surg_teleop.leaders.leader import Leader
 from surg_teleop.playback.workspace_fit import Workspace
 
-REOPEN = 1.0
-"""[s] Interval between attempts to open a lost device."""
 ASSISTANT = "assistant"
 """Name of the instrument without a controller."""
 ASSISTANT_RANGE = (0.03, 0.23, 1.0)
@@ -61,41 +56,6 @@ class Parameters:
     def of(self, prefix: str, name: str) -> Any:
         """A parameter of one hand."""
         return getattr(self, prefix + name)
-
-
-@dataclass
-class Hand:
-    """A leader and the arms that it drives."""
-
-    leader: Leader
-    switch: ArmSwitch
-    problem: str = "it has not been opened yet"  # why the leader cannot be read; empty if it can
-    retry: float = -math.inf  # time of the next attempt to open it [s]
-    buttons: frozenset[str] = frozenset()
-
-    def read(self, now: float) -> LeaderSample | None:
-        """The newest sample; a lost device is reopened periodically."""
-        try:
-            if self.problem:
-                if now < self.retry:
-                    return None
-                self.leader.open()
-                self.problem = ""
-            return self.leader.read(now)
-        except Exception as error:
-            # A user's leader may raise anything; its arm must be let go all the same.
-            known = isinstance(error, LeaderError)
-            self.problem = str(error) if known else f"{type(error).__name__}: {error}"
-            self.retry = now + REOPEN
-            with contextlib.suppress(Exception):
-                self.leader.close()
-            return None
-
-    def pressed(self, sample: LeaderSample | None) -> frozenset[str]:
-        """Buttons that have just gone down."""
-        now = sample.buttons if sample is not None else self.buttons
-        new, self.buttons = now - self.buttons, now
-        return new
 
 
 @dataclass

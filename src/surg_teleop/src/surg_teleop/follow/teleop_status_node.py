@@ -10,7 +10,7 @@ from std_msgs.msg import Bool, Float64, String
 
 from surg_core.contract import SECOND_NS
 from surg_msgs.msg import HandStatus, TeleopStatus
-from surg_teleop.follow.teleop_setup import Hand
+from surg_teleop.follow.arm_switch import Hand
 from surg_teleop.follow.teleop_types import TeleopOutput, TeleopState
 
 STATE_TOPICS = {

@@ -13,7 +13,12 @@ import numpy as np
 
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.hand.leader_sample import LeaderSample
-from surg_core.transforms import quaternion_xyzw_to_matrix, rotation_of, rotation_vector
+from surg_core.transforms import (
+    quaternion_xyzw_to_matrix,
+    rotation_of,
+    rotation_vector,
+    turn_between,
+)
 from surg_teleop.follow.target_pose import StepLimits, TargetPose
 from surg_teleop.follow.wristed_tip import WristedTip, WristRange
 from surg_teleop.playback.workspace_fit import Workspace
@@ -50,7 +55,7 @@ class WristedTarget(TargetPose):
             return
         before = self._before or pose
         since, self._stamp, self._before = sample.stamp - self._stamp, sample.stamp, pose
-        move, turn = pose.p_VH - before.p_VH, rotation_vector(pose.R_VH @ before.R_VH.T)
+        move, turn = pose.p_VH - before.p_VH, turn_between(before.q_VH, pose.q_VH)
         self._check_jump(move, float(np.linalg.norm(turn)), since)
         self._move(scale * (R_RV @ move) * moves, (R_RV @ turn) * rolls)
 

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from surg_core.arm_view import Array
 from surg_core.reading.text_table import read_table
 from surg_core.transforms import twist_angle
-from surg_teleop.leaders.handle_roll import MIN_TWIST
 
 REQUIRED = ("t_s", "x_m", "y_m", "z_m")
 ROTATION = tuple(f"r{row}{column}" for row in "123" for column in "123")
@@ -41,6 +40,8 @@ ROLL_JUMP_SLACK = 0.1
 """[rad] Allowance for noise of the roll."""
 ROTATION_TOLERANCE = 1e-2
 """Largest entry of R R^T - I, for rotations printed with few digits."""
+MIN_TWIST = 1e-3
+"""|cos(swing / 2)| must exceed this: swing–twist has no answer where the handle points back."""
 HAND_SPACE = 2.0
 """[m] No hand moves so far; numbers that do are in another unit."""
 LIKE_MILLIMETRES = "; this looks like millimetres: divide x, y and z by 1000"

@@ -208,7 +208,7 @@ export class Hand {
     return {
       hand: this.hand,
       p: [this.now.x, this.now.y, this.now.z],
-      roll: this.now.roll,
+      q: [0, 0, Math.sin(this.now.roll / 2), Math.cos(this.now.roll / 2)],
       v,
       roll_rate: rate ? clamp(wish.roll, -1, 1) * ROLL_RATE * slow : 0,
       tilt_x: rate ? clamp(wish.tilt_x, -1, 1) * TILT_RATE * slow : 0,

@@ -8,7 +8,6 @@ every row; all other columns are read at the used rows only.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,10 +16,10 @@ from surg_core import WristGeometry
 from surg_core.action_space import shaft_joints
 from surg_core.contract import POSITION_STREAMS
 from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
+from surg_recording.datasets.frames.frame_grid import ArmCycles
 from surg_recording.datasets.frames.resample import Grid, Stamps, around
 from surg_recording.episode import table_columns
-from surg_recording.episode.checked.checked_reading import TROCAR
-from surg_recording.episode.checked.long_table import LongTable
+from surg_recording.episode.checked.long_table import TROCAR
 from surg_recording.episode.checked.shaft_ends import GEOMETRY, shaft_ends, wrist_of
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
@@ -67,90 +66,57 @@ class ArmMotion:
         return self.q_BR[np.searchsorted(self.stamps, times, side="right") - 1]
 
 
-@dataclasses.dataclass(frozen=True)
-class ArmCycles:
-    """The control cycles of an arm; those of a commanded arm from homing on."""
-
-    name: str
-    table: LongTable
-    first: int
-    """First row used."""
-    commanded: bool
-
-    @classmethod
-    def of(cls, table: LongTable, name: str, commanded: bool) -> ArmCycles:
-        """The cycles in a checked table; an EpisodeError if a commanded arm was never homed."""
-        homed = np.flatnonzero(table.index["homed"] == 1)
-        if commanded and not len(homed):
-            raise EpisodeError(
-                f"{table.path}: {name} was never homed, so its rcm frame is not known"
-            )
-        return cls(name, table, int(homed[0]) if commanded else 0, commanded)
-
-    @property
-    def stamps(self) -> Stamps:
-        """(N,) stamps of the used rows [ns]."""
-        return self._index("stamp_ns")
-
-    @property
-    def command(self) -> Stamps:
-        """(N,) kind of the command obeyed; 0: none."""
-        return self._index("command")
-
-    def at(self, grid: Grid) -> ArmMotion:
-        """The rows for the grid times and for the times after each; EpisodeError as ``at``."""
-        rows = around(self.stamps, np.concatenate([grid.times_ns, grid.next_ns]))
-        joints = [f"{p}{i}" for p in ("q", "qd") for i in range(self.table.joints)]
-        columns = [*_VECTORS, *TROCAR, "jaw", "jaw_set"] if self.commanded else []
-        if self.commanded and self.table.wristed:
-            columns += ["depth", *(name for field in table_columns.WRIST for name in field.columns)]
-        cycle = self.table.at(self.first + rows, [*joints, *columns])
-        motion = ArmMotion(
-            name=self.name,
-            path=str(self.table.path),
-            stamps=cycle["stamp_ns"],
-            q=cycle.joints("q"),
-            qd=cycle.joints("qd"),
-            state=np.empty((len(rows), 0)),
-            goal=np.empty((len(rows), 0)),
-            goal_since_ns=cycle["stamp_ns"],
-            p_BTip=np.empty((len(rows), 0)),
-            q_BTool=np.empty((len(rows), 0)),
-            q_BR=np.empty((len(rows), 0)),
-        )
-        if not self.commanded:
-            return motion
-        posed = np.isin(self.command, POSE_COMMANDS)
-        roll = unwrapped(self._index("roll"), rows)
-        goals = np.where(posed, self._index("roll_goal"), self._index("roll_set"))
-        began = np.flatnonzero(np.diff(self._index("accepted"), prepend=-1) != 0)
-        since = began[np.maximum(np.searchsorted(began, rows, side="right") - 1, 0)]
-        q_BR, p_BTip = cycle.vector("q_br", "xyzw"), cycle.vector("p_tip")
-        p_BRcm = cycle.vector("p_rcm")
-        tip, p_set, goal = (
-            rotate_back(q_BR, cycle.vector(name) - p_BRcm) for name in ("p_tip", "p_set", "p_goal")
-        )
-        p_action = np.where(posed[rows][:, None], goal, p_set)
-        streams = np.isin(self.command, POSITION_STREAMS)
-        p_go_on = np.where(streams[rows][:, None], goal, p_set)
-        roll_go_on = np.where(streams, self._index("roll_goal"), self._index("roll_set"))
-        roll_action, roll_go_on = unwrapped(goals, rows), unwrapped(roll_go_on, rows)
-        s_R = rotate_back(q_BR, cycle.vector("s"))
-        motion = dataclasses.replace(
-            motion,
-            state=np.column_stack([tip, roll, cycle["jaw"], p_go_on, roll_go_on]),
-            goal=np.column_stack([p_action, roll_action, cycle["jaw_set"]]),
-            goal_since_ns=self.stamps[since],
-            p_BTip=p_BTip,
-            q_BR=q_BR,
-            q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
-        )
-        if not self.table.wristed:
-            return motion
-        return _behind_a_wrist(motion, cycle, s_R, posed[rows], streams[rows])
-
-    def _index(self, column: str) -> npt.NDArray[Any]:
-        return self.table.index[column][self.first :]
+def motion_of(arm: ArmCycles, grid: Grid) -> ArmMotion:
+    """The rows for the grid times and for the times after each; EpisodeError as ``at``."""
+    rows = around(arm.stamps, np.concatenate([grid.times_ns, grid.next_ns]))
+    joints = [f"{p}{i}" for p in ("q", "qd") for i in range(arm.table.joints)]
+    columns = [*_VECTORS, *TROCAR, "jaw", "jaw_set"] if arm.commanded else []
+    if arm.commanded and arm.table.wristed:
+        columns += ["depth", *(name for field in table_columns.WRIST for name in field.columns)]
+    cycle = arm.table.at(arm.first + rows, [*joints, *columns])
+    motion = ArmMotion(
+        name=arm.name,
+        path=str(arm.table.path),
+        stamps=cycle["stamp_ns"],
+        q=cycle.joints("q"),
+        qd=cycle.joints("qd"),
+        state=np.empty((len(rows), 0)),
+        goal=np.empty((len(rows), 0)),
+        goal_since_ns=cycle["stamp_ns"],
+        p_BTip=np.empty((len(rows), 0)),
+        q_BTool=np.empty((len(rows), 0)),
+        q_BR=np.empty((len(rows), 0)),
+    )
+    if not arm.commanded:
+        return motion
+    posed = np.isin(arm.command, POSE_COMMANDS)
+    roll = unwrapped(arm.column("roll"), rows)
+    goals = np.where(posed, arm.column("roll_goal"), arm.column("roll_set"))
+    began = np.flatnonzero(np.diff(arm.column("accepted"), prepend=-1) != 0)
+    since = began[np.maximum(np.searchsorted(began, rows, side="right") - 1, 0)]
+    q_BR, p_BTip = cycle.vector("q_br", "xyzw"), cycle.vector("p_tip")
+    p_BRcm = cycle.vector("p_rcm")
+    tip, p_set, goal = (
+        rotate_back(q_BR, cycle.vector(name) - p_BRcm) for name in ("p_tip", "p_set", "p_goal")
+    )
+    p_action = np.where(posed[rows][:, None], goal, p_set)
+    streams = np.isin(arm.command, POSITION_STREAMS)
+    p_go_on = np.where(streams[rows][:, None], goal, p_set)
+    roll_go_on = np.where(streams, arm.column("roll_goal"), arm.column("roll_set"))
+    roll_action, roll_go_on = unwrapped(goals, rows), unwrapped(roll_go_on, rows)
+    s_R = rotate_back(q_BR, cycle.vector("s"))
+    motion = dataclasses.replace(
+        motion,
+        state=np.column_stack([tip, roll, cycle["jaw"], p_go_on, roll_go_on]),
+        goal=np.column_stack([p_action, roll_action, cycle["jaw_set"]]),
+        goal_since_ns=arm.stamps[since],
+        p_BTip=p_BTip,
+        q_BR=q_BR,
+        q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
+    )
+    if not arm.table.wristed:
+        return motion
+    return _behind_a_wrist(motion, cycle, s_R, posed[rows], streams[rows])
 
 
 def _behind_a_wrist(

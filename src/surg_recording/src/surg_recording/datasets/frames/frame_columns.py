@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import ACTION_KEY
-from surg_recording.datasets.frames.resample import Grid, Stamps, ages_s
+from surg_recording.datasets.frames.resample import Grid, Stamps
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.schema import ALWAYS, OPTIONAL, Feature, rank
+from surg_recording.datasets.schema import ALWAYS, OPTIONAL, Feature
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
@@ -66,7 +66,7 @@ class Columns:
         """
         text = "time of the frame on the recording's clock"
         self.number("timing.grid_ns", self.grid.times_ns, "int64", ("ns",), text=text)
-        features = tuple(sorted(self.features, key=lambda feature: rank(feature.name)))
+        features = tuple(sorted(self.features, key=lambda feature: feature.rank))
         unknown = set(self.options.drop) - set(self.dropped) - OPTIONAL
         if unknown:
             raise EpisodeError(
@@ -123,6 +123,6 @@ class Columns:
     def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
         """Add true stamps and ages of the samples behind a series."""
         self.number(f"timing.{name}.stamp_ns", stamps[index], "int64", ("ns",), text=text)
-        ages = ages_s(stamps, index, times)
+        ages = (times - stamps[index]) * 1e-9
         self.number(f"timing.{name}.age_s", ages, "float32", ("s",), text="its age at that time")
         self.notes[f"oldest_{name}_s"] = float(ages.max())

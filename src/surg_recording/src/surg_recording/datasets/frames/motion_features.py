@@ -23,11 +23,27 @@ from surg_recording.datasets import schema
 from surg_recording.datasets.frames.arm_motion import ArmMotion
 from surg_recording.datasets.frames.frame_columns import BEFORE, LINEAR, NEXT, Columns
 from surg_recording.datasets.frames.resample import around, linear, previous, slerp
+from surg_recording.datasets.layout import Layout
 from surg_recording.episode.checked.checked_episode import CheckedEpisode
 from surg_recording.episode.checked.long_table import LongTable
 
 
-def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
+def motion(
+    made: Columns, episode: CheckedEpisode, layout: Layout, arms: Mapping[str, ArmMotion]
+) -> None:
+    """All of them."""
+    commanded = [arms[arm] for arm in layout.commanded]
+    _observed_motion(made, commanded, list(arms.values()))
+    if layout.forces:
+        _measured_forces(made, episode, commanded)
+    if layout.scope:
+        _camera_pose(made, episode, arms[layout.scope])
+    _actions(made, commanded)
+    if episode.truth:
+        _ground_truth(made, episode.truth)
+
+
+def _observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMotion]) -> None:
     """Measured values: joints of all arms, tips of those that are commanded and so homed."""
     grid, gap = made.grid, made.gap_ns
     states, poses = [], []
@@ -87,7 +103,7 @@ def observed_motion(made: Columns, commanded: list[ArmMotion], arms: list[ArmMot
         )
 
 
-def measured_forces(made: Columns, episode: CheckedEpisode, arms: list[ArmMotion]) -> None:
+def _measured_forces(made: Columns, episode: CheckedEpisode, arms: list[ArmMotion]) -> None:
     """Forces at tip and trocar: the newest measured before each frame, if it is fresh."""
     times, parts = made.grid.times_ns, []
     for arm in arms:
@@ -114,7 +130,7 @@ def measured_forces(made: Columns, episode: CheckedEpisode, arms: list[ArmMotion
     )
 
 
-def camera_pose(made: Columns, episode: CheckedEpisode, arm: ArmMotion) -> None:
+def _camera_pose(made: Columns, episode: CheckedEpisode, arm: ArmMotion) -> None:
     """The pose of the left camera, from the joints of the arm that holds it."""
     held = calibration_record.endoscope_of(episode.folder, episode.manifest)
     assert held is not None
@@ -130,7 +146,7 @@ def camera_pose(made: Columns, episode: CheckedEpisode, arm: ArmMotion) -> None:
     )
 
 
-_ACTIONS = {
+_SPACES = {
     "absolute": "where tip, roll and jaw shall be at the next frame; absolute",
     "relative": "change of the command for tip and roll from this frame to the next; jaw absolute",
     "velocity": "the same change per second: mean velocity of the command; jaw absolute",
@@ -139,7 +155,7 @@ _ACTIONS = {
 """Description of the action, by action space."""
 
 
-def actions(made: Columns, arms: list[ArmMotion]) -> None:
+def _actions(made: Columns, arms: list[ArmMotion]) -> None:
     """The commands in force at the next grid times, in the action space of the export."""
     grid, goals, before = made.grid, [], []
     for arm in arms:
@@ -158,11 +174,11 @@ def actions(made: Columns, arms: list[ArmMotion]) -> None:
         space.units(names),
         "rcm frame of each arm",
         NEXT,
-        f"{_ACTIONS[space.name]} (action space: {space.name})",
+        f"{_SPACES[space.name]} (action space: {space.name})",
     )
 
 
-def ground_truth(made: Columns, truth: Mapping[str, LongTable]) -> None:
+def _ground_truth(made: Columns, truth: Mapping[str, LongTable]) -> None:
     """The simulator's tip, and its force of the shaft on the trocar, of each arm."""
     parts, names = [], []
     columns = [f"{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]

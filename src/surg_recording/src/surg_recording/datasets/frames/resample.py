@@ -159,11 +159,6 @@ def slerp(
     return transforms.continuous_quaternions(interpolated), before
 
 
-def ages_s(stamps: Stamps, index: Stamps, times: Stamps) -> Array:
-    """Age of the sample of each time [s]."""
-    return (times - stamps[index]) * 1e-9
-
-
 def _at(times: Stamps, row: int) -> str:
     """A grid time for a message: seconds from the first."""
     return f"frame {int(row)} ({(times[row] - times[0]) * 1e-9:.3f} s)"

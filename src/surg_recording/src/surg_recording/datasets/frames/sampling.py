@@ -18,7 +18,7 @@ import numpy.typing as npt
 from surg_core.contract import SECOND_NS
 from surg_recording.datasets import pictures
 from surg_recording.datasets.frames import motion_features, task_features
-from surg_recording.datasets.frames.arm_motion import ArmCycles
+from surg_recording.datasets.frames.arm_motion import motion_of
 from surg_recording.datasets.frames.frame_columns import Columns
 from surg_recording.datasets.frames.frame_grid import common_grid
 from surg_recording.datasets.frames.picture_features import RecordedPictures, shown_pictures
@@ -27,7 +27,6 @@ from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode.checked.checked_episode import CheckedEpisode
-from surg_recording.episode.checked.checked_reading import bridged_ns
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
 
@@ -85,37 +84,20 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
         forces=layout.commanded if layout.forces else (),
         task=layout.labelled,
         cameras=layout.cameras,
+        gap_ns=round(options.max_gap_s * SECOND_NS),
     )
     _check_sizes(episode, layout.sizes)
-    cycles = {
-        arm: ArmCycles.of(table, arm, arm in layout.commanded)
-        for arm, table in episode.cycles.items()
-    }
-    grid = common_grid(episode, [cycles[arm] for arm in layout.commanded], options)
-    arms = {arm: each.at(grid) for arm, each in cycles.items()}
-    commanded = [arms[arm] for arm in layout.commanded]
+    grid, cycles = common_grid(episode, layout.commanded, options)
+    arms = {arm: motion_of(each, grid) for arm, each in cycles.items()}
 
-    gap_ns = bridged_ns(episode.manifest, round(options.max_gap_s * SECOND_NS))
-    made = Columns(grid, options, gap_ns)
+    made = Columns(grid, options, episode.gap_ns)
     if episode.segment is not None:
         made.notes["segment"] = episode.segment.words
     if candidate.remarks:
         made.notes["remarks"] = list(candidate.remarks)
-    motion_features.observed_motion(made, commanded, list(arms.values()))
-    if layout.forces:
-        motion_features.measured_forces(made, episode, commanded)
-    if layout.scope:
-        motion_features.camera_pose(made, episode, arms[layout.scope])
-    motion_features.actions(made, commanded)
+    motion_features.motion(made, episode, layout, arms)
     shown = shown_pictures(made, layout.sizes, episode.videos)
-    if episode.task is not None:
-        at_the_end = episode.segment is None or episode.segment.until is None
-        task_features.rewards(made, episode.task, candidate.verdict, at_the_end)
-        if layout.task_numbers:
-            task_features.task_state(made, episode.task, layout.task_numbers)
-    if episode.truth:
-        motion_features.ground_truth(made, episode.truth)
-    task_features.texts(made, candidate)
+    task_features.task(made, episode, candidate)
     features = made.finish()
     return Sampled(candidate, grid, features, made.columns, shown, made.notes)
 

@@ -13,11 +13,27 @@ from surg_recording.datasets.frames.frame_columns import HOLD, NEXT, Columns
 from surg_recording.datasets.frames.resample import Grid, previous
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.episode import table_columns
+from surg_recording.episode.checked.checked_episode import CheckedEpisode
 from surg_recording.episode.table import Table
 from surg_recording.episode.verdicts import PERSON, Verdict
 
 
-def rewards(made: Columns, task: Table, verdict: Verdict, at_the_end: bool) -> None:
+def task(made: Columns, episode: CheckedEpisode, candidate: Candidate) -> None:
+    """All of them."""
+    layout = candidate.layout
+    if episode.task is not None:
+        at_the_end = episode.segment is None or episode.segment.until is None
+        _rewards(made, episode.task, candidate.verdict, at_the_end)
+        if layout.task_numbers:
+            _task_state(made, episode.task, layout.task_numbers)
+    made.text(schema.INSTRUCTION, candidate.instruction, "what the operator was to do")
+    stages = _stage_texts(candidate, made.grid)
+    made.text(schema.STAGE, stages, "the same of the current stage", HOLD)
+    tools = "; ".join(f"{a}: {i}" for a, i in zip(layout.arms, layout.instruments, strict=True))
+    made.text(schema.TOOL, tools, "instrument of each arm")
+
+
+def _rewards(made: Columns, task: Table, verdict: Verdict, at_the_end: bool) -> None:
     """Reward and success of the frame that an action leads to; the last frame has the verdict.
 
     A person's verdict counts first: what somebody called a failure has no frame of success.
@@ -35,7 +51,7 @@ def rewards(made: Columns, task: Table, verdict: Verdict, at_the_end: bool) -> N
     made.number("next.success", success, "bool", ("1",), NEXT, "the task was solved by then")
 
 
-def task_state(made: Columns, task: Table, numbers: tuple[str, ...]) -> None:
+def _task_state(made: Columns, task: Table, numbers: tuple[str, ...]) -> None:
     """The task's own ground truth: the columns ``numbers`` of its state."""
     row = previous(task["stamp_ns"], made.grid.times_ns, "task_state.csv")
     names = tuple(name.removeprefix(table_columns.TASK_PREFIX) for name in numbers)
@@ -51,16 +67,6 @@ def task_state(made: Columns, task: Table, numbers: tuple[str, ...]) -> None:
     )
     text = "stamp of the task's state"
     made.timing("task_state", task["stamp_ns"], row, made.grid.times_ns, text)
-
-
-def texts(made: Columns, candidate: Candidate) -> None:
-    """Instruction, stage and instruments in words."""
-    made.text(schema.INSTRUCTION, candidate.instruction, "what the operator was to do")
-    stages = _stage_texts(candidate, made.grid)
-    made.text(schema.STAGE, stages, "the same of the current stage", HOLD)
-    layout = candidate.layout
-    tools = "; ".join(f"{a}: {i}" for a, i in zip(layout.arms, layout.instruments, strict=True))
-    made.text(schema.TOOL, tools, "instrument of each arm")
 
 
 def _stage_texts(candidate: Candidate, grid: Grid) -> npt.NDArray[Any]:

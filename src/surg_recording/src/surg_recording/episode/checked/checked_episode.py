@@ -17,7 +17,7 @@ from surg_core.force.observed_force import PLACES
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import episode_reader, labels
 from surg_recording.episode.checked import long_table
-from surg_recording.episode.checked.checked_reading import checked_table, checked_video, finite
+from surg_recording.episode.checked.checked_reading import checked_table, checked_video
 from surg_recording.episode.checked.long_table import LongTable
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table, Video
@@ -30,6 +30,8 @@ class CheckedEpisode:
 
     folder: Path
     manifest: Mapping[str, Any]
+    gap_ns: int
+    """Samples that are further apart are not bridged."""
     segment: Segment | None
     """The part that was read, of a recording whose clock was set; None: all of it."""
     trim: tuple[int, int]
@@ -54,6 +56,7 @@ class CheckedEpisode:
         forces: Sequence[str],
         task: bool,
         cameras: Sequence[str],
+        gap_ns: int,
     ) -> CheckedEpisode:
         """Read and check.
 
@@ -65,6 +68,7 @@ class CheckedEpisode:
             forces: Arms whose measured forces are wanted.
             task: Whether the task's state is wanted.
             cameras: Cameras whose pictures are wanted.
+            gap_ns: Samples closer than this are bridged in any case.
 
         Raises:
             EpisodeError: A file is missing, cut, edited or holds an impossible stamp or value.
@@ -73,24 +77,19 @@ class CheckedEpisode:
         return cls(
             folder=folder,
             manifest=recorded.manifest,
+            gap_ns=recorded.bridged_ns(gap_ns),
             segment=segment,
             trim=labels.trim(recorded.manifest),
-            cycles={arm: long_table.cycles(recorded, arm, segment) for arm in arms},
+            cycles={arm: long_table.read(recorded, f"cycle_{arm}", segment) for arm in arms},
             videos={camera: checked_video(recorded, camera, segment) for camera in cameras},
             task=checked_table(recorded, "task_state", segment) if task else None,
-            truth={arm: long_table.truth(recorded, arm, segment) for arm in truth},
+            truth={arm: long_table.read(recorded, f"ground_truth_{arm}", segment) for arm in truth},
             forces={
                 (place, arm): measured_force(recorded, place, arm, segment)
                 for arm in forces
                 for place in PLACES
             },
         )
-
-    @property
-    def indices(self) -> list[Table]:
-        """The tables that a grid must lie within."""
-        long = [*self.cycles.values(), *self.truth.values()]
-        return [*(table.index for table in long), *([self.task] if self.task else [])]
 
 
 def measured_force(
@@ -109,5 +108,5 @@ def measured_force(
     strange = table["known"][~np.isin(table["known"], (0, 1))]
     if strange.size:
         raise EpisodeError(f"{path}: column known: {strange[0]} is neither 1 nor 0")
-    finite(path, table.select(table["known"] == 1), [f"force_{axis}" for axis in "xyz"])
+    table.select(table["known"] == 1).require_finite(path, [f"force_{axis}" for axis in "xyz"])
     return table

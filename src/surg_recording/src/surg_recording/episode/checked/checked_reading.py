@@ -7,9 +7,8 @@ them; the error states file, line and value.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,18 +23,6 @@ from surg_recording.video import video_file
 
 LONGEST_GAP_NS = 3600 * SECOND_NS
 """Stamps of neighbouring rows are closer than this [ns]."""
-
-LARGEST = 1e6
-"""No measured position, angle, speed or force is larger [SI]."""
-
-
-def bridged_ns(manifest: Mapping[str, Any], least_ns: int) -> int:
-    """Longest time between two samples that is no gap [ns]: of an import 1.5 of its periods."""
-    imported = manifest.get("imported")
-    period = imported.get("period_s") if isinstance(imported, dict) else None
-    if not isinstance(period, float) or not 0.0 < period < 10.0:
-        return least_ns
-    return max(least_ns, round(1.5 * period * SECOND_NS))
 
 
 def segment_of(recorded: Episode) -> Segment | None:
@@ -177,45 +164,3 @@ def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
             f"{path}: stamps are up to {apart.max() * 1e-9:.3f} s from their reception, so that it"
             f" cannot be told on which side of a step they are; {segment.words}"
         )
-
-
-MEASURED = ("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")
-"""Columns of the cycles that always hold a measurement; also ``q0``…, ``qd0``…."""
-
-TROCAR = (*(f"p_rcm_{axis}" for axis in "xyz"), *(f"q_br_{axis}" for axis in "xyzw"))
-"""Columns of the cycles that are known once the arm is homed."""
-
-
-WRIST = ("wrist_pitch", "wrist_yaw", *(f"q_tip_{axis}" for axis in "xyzw"))
-"""The same, of an instrument with a wrist."""
-
-
-def cycle_columns(joints: int, wristed: bool) -> tuple[str, ...]:
-    """The columns that ``check_cycle`` needs."""
-    wrist = WRIST if wristed else ()
-    return (
-        *MEASURED,
-        *wrist,
-        *TROCAR,
-        "homed",
-        *(f"{p}{i}" for p in ("q", "qd") for i in range(joints)),
-    )
-
-
-def check_cycle(path: Path, cycle: Table) -> None:
-    """Raise an EpisodeError unless all measured values of control cycles are possible."""
-    joints = table_columns.joint_count(cycle.columns)
-    finite(path, cycle, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))])
-    wrist = WRIST if WRIST[0] in cycle else ()
-    finite(path, cycle.select(cycle["homed"] == 1), (*TROCAR, *wrist))
-
-
-def finite(path: Path, table: Table, columns: Sequence[str]) -> None:
-    """Refuse a value that cannot have been measured."""
-    for column in columns:
-        values = table[column]
-        bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
-        if len(bad):
-            value, stamp = values[bad[0]], table["stamp_ns"][bad[0]]
-            what = f"{value:g} is too large" if np.isfinite(value) else "not a number"
-            raise EpisodeError(f"{path}, column {column}: {what} at stamp_ns {stamp}")

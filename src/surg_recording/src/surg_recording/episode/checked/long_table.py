@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import table_columns
-from surg_recording.episode.checked import checked_reading
+from surg_recording.episode.checked.checked_reading import checked_table
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.episode.table_file import read_blocks
@@ -26,6 +26,17 @@ BLOCK = 16384
 """Rows in memory with all wanted columns."""
 
 _ROW = "row of the file"
+INDEX = ("homed", "command", "accepted", "roll", "roll_goal", "roll_set")
+"""Columns of the cycles that the first pass keeps."""
+
+MEASURED = ("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")
+"""Columns of the cycles that always hold a measurement; also ``q0``…, ``qd0``…."""
+
+TROCAR = (*(f"p_rcm_{axis}" for axis in "xyz"), *(f"q_br_{axis}" for axis in "xyzw"))
+"""Columns of the cycles that are known once the arm is homed."""
+
+WRIST = ("wrist_pitch", "wrist_yaw", *(f"q_tip_{axis}" for axis in "xyzw"))
+"""The same, of an instrument with a wrist."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,13 +68,13 @@ class LongTable:
             EpisodeError: A column is missing, or a row of the recording holds an impossible value.
         """
         places = self.index[_ROW][rows] if _ROW in self.index else rows
-        checked = checked_reading.cycle_columns(self.joints, self.wristed) if self._is_cycle else ()
+        checked = cycle_columns(self.joints, self.wristed) if self._is_cycle else ()
         kept: list[Table] = []
         begin = 0
         for block in read_blocks(self.path, wanted={*columns, *checked, "stamp_ns"}, rows=BLOCK):
             inside = slice(max(self._first - begin, 0), max(self._last + 1 - begin, 0))
             if self._is_cycle:
-                checked_reading.check_cycle(self.path, block.select(inside))
+                check_cycle(self.path, block.select(inside))
             low, high = np.searchsorted(places, [begin, begin + len(block)])
             kept.append(block.select(places[low:high] - begin))
             begin += len(block)
@@ -73,26 +84,15 @@ class LongTable:
         )
 
 
-def cycles(recorded: Episode, arm: str, segment: Segment | None = None) -> LongTable:
-    """The control cycles of an arm; an EpisodeError if the table is not as recorded."""
-    columns = ("homed", "command", "accepted", "roll", "roll_goal", "roll_set")
-    return _open(recorded, f"cycle_{arm}", segment, columns)
-
-
-def truth(recorded: Episode, arm: str, segment: Segment | None = None) -> LongTable:
-    """The simulator's ground truth of an arm; an EpisodeError if it is not as recorded."""
-    return _open(recorded, f"ground_truth_{arm}", segment, ())
-
-
-def _open(
-    recorded: Episode, name: str, segment: Segment | None, columns: tuple[str, ...]
-) -> LongTable:
-    numbered = None if segment is None else _ROW
-    table = checked_reading.checked_table(recorded, name, segment, columns, numbered)
+def read(recorded: Episode, name: str, segment: Segment | None = None) -> LongTable:
+    """Control cycles or ground truth of an arm; an EpisodeError if they are not as recorded."""
+    is_cycle, numbered = name.startswith("cycle_"), None if segment is None else _ROW
+    columns = INDEX if is_cycle else ()
+    table = checked_table(recorded, name, segment, columns, numbered)
     path = recorded.folder / f"{name}.csv"
     columns_of_file = next(read_blocks(path, rows=1)).columns
     joints = table_columns.joint_count(columns_of_file)
-    wristed = checked_reading.WRIST[0] in columns_of_file
+    wristed = WRIST[0] in columns_of_file
     first, last = 0, len(table) - 1
     if numbered is not None:
         first, last = int(table[_ROW][0]), int(table[_ROW][-1])
@@ -101,4 +101,26 @@ def _open(
     if not later.all():
         index = index if numbered else index.with_column(_ROW, np.arange(len(table)))
         index = index.select(np.flatnonzero(later))
-    return LongTable(path, index, joints, wristed, first, last, name.startswith("cycle_"))
+    return LongTable(path, index, joints, wristed, first, last, is_cycle)
+
+
+def cycle_columns(joints: int, wristed: bool) -> tuple[str, ...]:
+    """The columns that ``check_cycle`` needs."""
+    wrist = WRIST if wristed else ()
+    return (
+        *MEASURED,
+        *wrist,
+        *TROCAR,
+        "homed",
+        *(f"{p}{i}" for p in ("q", "qd") for i in range(joints)),
+    )
+
+
+def check_cycle(path: Path, cycle: Table) -> None:
+    """Raise an EpisodeError unless all measured values of control cycles are possible."""
+    joints = table_columns.joint_count(cycle.columns)
+    cycle.require_finite(
+        path, [*MEASURED, *(f"{p}{i}" for p in ("q", "qd") for i in range(joints))]
+    )
+    wrist = WRIST if WRIST[0] in cycle else ()
+    cycle.select(cycle["homed"] == 1).require_finite(path, (*TROCAR, *wrist))

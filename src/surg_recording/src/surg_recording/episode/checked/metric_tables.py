@@ -10,12 +10,10 @@ from surg_core.contract import STREAMS
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import labels
 from surg_recording.episode.checked.checked_reading import (
-    bridged_ns,
-    check_cycle,
     checked_table,
-    finite,
     segment_of,
 )
+from surg_recording.episode.checked.long_table import check_cycle
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.episode.table import Table
 from surg_recording.recording_errors import EpisodeError
@@ -34,7 +32,7 @@ def for_metrics(recorded: Episode, arm: str) -> Episode:
     segment, tables = segment_of(recorded), {}
     cycle = tables[f"cycle_{arm}"] = _finite_cycle(recorded, arm, segment)
     if recorded.complete:
-        limit = bridged_ns(recorded.manifest, CYCLE_GAP_NS)
+        limit = recorded.bridged_ns(CYCLE_GAP_NS)
         _without_gap(recorded.folder / f"cycle_{arm}.csv", cycle, limit)
     truth = recorded.manifest["tables"].get(f"ground_truth_{arm}")
     if truth is not None and truth.get("rows") != 0:
@@ -71,7 +69,7 @@ def _finite_truth(recorded: Episode, arm: str, segment: Segment | None) -> Table
     table = checked_table(recorded, name, segment)
     groups = ("shaft", "axis", "tip", "trocar", "trocar_loaded", "force")
     used = [f"{group}_{axis}" for group in groups for axis in "xyz"]
-    finite(recorded.folder / f"{name}.csv", table, used)
+    table.require_finite(recorded.folder / f"{name}.csv", used)
     return table
 
 

@@ -11,9 +11,10 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surg_core import quaternion_xyzw_to_matrix, rpy_to_matrix
+from surg_core import matrix_to_quaternion_xyzw, rpy_to_matrix
 from surg_core.arm_view import Array
 from surg_core.hand.leader_sample import HandlePose, HandRate, LeaderSample
+from surg_core.transforms import multiply_quaternions
 
 FRESH = 0.1
 """[s] Largest difference between pose and velocity of one sample."""
@@ -42,6 +43,7 @@ class CrtkLeader:
         if not abs(grip_open - grip_closed) > 1e-6:
             raise ValueError("grip_closed and grip_open are the same; allowed: two different ones")
         self._R_VL = rpy_to_matrix(rotation)
+        self._q_VL = matrix_to_quaternion_xyzw(self._R_VL)
         self._grip_range = (grip_closed, grip_open)
         self.open()
 
@@ -60,9 +62,9 @@ class CrtkLeader:
         """``measured_cp``: p (3,) [m], q (4,) x, y, z, w; in the leader's axes."""
         self._note_message(now)
         # An invalid orientation is passed on, so that the teleoperation reports it and stops.
-        broken = not abs(float(np.linalg.norm(q)) - 1.0) < 1e-2
-        R_LH = np.full((3, 3), np.nan) if broken else quaternion_xyzw_to_matrix(q)
-        self._pose = now, HandlePose(self._R_VL @ p, self._R_VL @ R_LH)
+        length = float(np.linalg.norm(q))
+        q_LH = q / length if abs(length - 1.0) < 1e-2 else np.full(4, np.nan)
+        self._pose = now, HandlePose(self._R_VL @ p, multiply_quaternions(self._q_VL, q_LH))
 
     def on_rate(self, now: float, v: Array, w: Array) -> None:
         """``measured_cv``: wanted v (3,) of the tip [m/s] in the leader's axes, w (3,) [rad/s].

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from surg_core import rpy_to_matrix
+from surg_core import matrix_to_quaternion_xyzw, rpy_to_matrix
 from surg_core.hand.leader_sample import HandlePose, LeaderSample
+from surg_core.transforms import multiply_quaternions
 from surg_teleop.leaders.leader import LeaderError
 from surg_teleop.playback.motion_file import Motion, MotionError, read_motion
 
@@ -38,6 +39,7 @@ class MotionLeader:
         self.name = name
         self._file, self._rate, self._delay = Path(file), rate, delay
         self._R_VL = rpy_to_matrix(rotation)
+        self._q_VL = matrix_to_quaternion_xyzw(self._R_VL)
         self._motion: Motion | None = None
         self._opened: float | None = None
 
@@ -64,11 +66,11 @@ class MotionLeader:
         elapsed = index / self._rate
         t = min(max(elapsed - self._delay, 0.0), self._motion.duration)
         x, y, z, roll = self._spline(t).tolist()
-        c, s = math.cos(roll), math.sin(roll)
-        R_LH = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        q_LH = np.array([0.0, 0.0, math.sin(roll / 2.0), math.cos(roll / 2.0)])
+        p_VH = self._R_VL @ np.array([x, y, z])
         return LeaderSample(
             stamp=self._opened + elapsed,
-            pose=HandlePose(self._R_VL @ np.array([x, y, z]), self._R_VL @ R_LH),
+            pose=HandlePose(p_VH, multiply_quaternions(self._q_VL, q_LH)),
             grip=self._grip(t),
         )
 
