@@ -13,7 +13,6 @@ constexpr double kFastest = 0.6;    // [Hz] fastest rate of breathing
 constexpr double kLeastSpan = 8;    // [s] of samples before a rate is believed
 constexpr double kPeriods = 1.9;    // in the samples before a rate is believed
 constexpr double kSweepStep = 0.2;  // periods in the span between two rates of the sweep
-constexpr double kProbeStep = 0.1;  // periods between the three rates of the refinement
 constexpr double kAlias = 3;        // times the least residual that a faster rate may leave
 constexpr int kTries = 4;           // refinements, until the rate explains the motion
 constexpr double kResidual = 1.4;   // times the noise's variance that a right rate may leave
@@ -151,7 +150,7 @@ void RateSearch::choose() {
 
 /// Newton's step to the least residual, from three rates.
 void RateSearch::refine(double variance) {
-  const double step = radians(kProbeStep / span());
+  const double step = radians(0.5 * kSweepStep / span());
   probed_[probe_] = fit(rate_ + (probe_ - 1) * step).variance;
   if (++probe_ < 3) return;
   probe_ = 0;

@@ -11,13 +11,12 @@ namespace {
 
 // In units of a sample's variance. Tuned for gains below 0.5 at 8 to 12 Hz and 1.05 up to 3 Hz, at
 // the least lag for samples of 25 to 500 Hz.
-constexpr double kJerk = 1.1e12;             // [1/s^5] spectral density of the motion's jerk
-constexpr double kTremorVariance = 2.4e4;    // variance of the tremor
-constexpr double kDecay = 14;                // [1/s] with which an oscillation of the tremor fades
-constexpr double kLate = 0.016;              // [s] that the slow motion is asked for late
-constexpr double kLatePeriods = 0.81;        // periods that it is asked for late besides
-constexpr double kFirstPosition = 1e10;      // variance of the position at the start
-constexpr double kFirstAcceleration = 1e10;  // [1/s^4] variance of the acceleration at the start
+constexpr double kJerk = 1.1e12;           // [1/s^5] spectral density of the motion's jerk
+constexpr double kTremorVariance = 2.4e4;  // variance of the tremor
+constexpr double kDecay = 14;              // [1/s] with which an oscillation of the tremor fades
+constexpr double kLate = 0.016;            // [s] that the slow motion is asked for late
+constexpr double kLatePeriods = 0.81;      // periods that it is asked for late besides
+constexpr double kFirst = 1e10;  // [1, 1/s^4] variance of position and acceleration at the start
 
 }  // namespace
 
@@ -33,7 +32,7 @@ void TremorEstimate::reset(const Values& x) {
     state_[i][0] = x[i];
   }
   Mixed variances;
-  variances << kFirstPosition, motion_model::kFirstVelocity, kFirstAcceleration, kTremorVariance,
+  variances << kFirst, motion_model::kFirstVelocity, kFirst, kTremorVariance,
       omega_ * omega_ * kTremorVariance;
   covariance_ = variances.asDiagonal();
   take(x);

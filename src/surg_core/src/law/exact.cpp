@@ -29,10 +29,12 @@ ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints) {
 
 Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal) {
   const Matrix3 swing = minimal_rotation(home.s_B, goal.s_B);
-  // Roll about the shaft where it is, after the swing: the same as about s_home before it.
-  const Matrix3 twist = Eigen::AngleAxisd(goal.roll, goal.s_B).toRotationMatrix();
   Pose X_BF = Pose::Identity();
-  X_BF.linear() = twist * (swing * home.R_BF);
+  X_BF.linear() = swing * home.R_BF;
+  // Roll about the shaft where it is, after the swing: the same as about s_home before it.
+  if (goal.roll != 0) {
+    X_BF.linear() = Eigen::AngleAxisd(goal.roll, goal.s_B).toRotationMatrix() * X_BF.linear();
+  }
   X_BF.translation() = goal.p_BTip() - X_BF.linear() * tool.p_FTip;
   return X_BF;
 }

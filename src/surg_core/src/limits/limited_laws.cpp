@@ -130,11 +130,12 @@ LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   a.tangent = inverse_(tangent);
   const double expected = a.expected(here_.qd_last, T), t = expected * T;
   // The whole cycle's end is where the step most often ends: not to be computed twice.
-  a.end_at = expected > kNearlyFull ? T : t;
-  a.end = pose(a.end_at, keep_);
+  const double end_at = expected > kNearlyFull ? T : t;
+  end_ = pose(end_at, keep_);
+  end_at_ = end_at;
   a.qd0 = rest / T;
-  a.twist = along(a.end, a.end_at);
-  if (t < a.end_at) a.twist += (t - a.end_at) / (a.end_at - kTwistSpacing) * (a.twist - tangent);
+  a.twist = along(end_, end_at_);
+  if (t < end_at_) a.twist += (t - end_at_) / (end_at_ - kTwistSpacing) * (a.twist - tangent);
   a.qd1 = inverse_(a.twist);
   a.returning = (returning_ || pulled) && a.regular;
   if (a.returning) {
@@ -151,7 +152,7 @@ LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   return a;
 }
 
-Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double beta,
+Joints LimitedStep::ExactLaw::finish(const Affine&, double alpha, double beta,
                                      const Joints& qd) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
@@ -160,8 +161,7 @@ Joints LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double 
   Jacobian J;
   self_.chain_.forward(q, X, J);
   const double t = alpha * T;
-  const bool known = t == affine.end_at && keep == keep_;
-  const Vector6 to_path = displacement(X, known ? affine.end : pose(t, keep));
+  const Vector6 to_path = displacement(X, pose(t, keep));
   // What Newton's method leaves is of second order.
   const auto exact = [&](double moved) { return 2 * self_.reach_ * moved * moved < kExact; };
   // The inverse of the Jacobian at the beginning, refined once with the one here: what that leaves
@@ -196,6 +196,7 @@ bool LimitedStep::ExactLaw::node(double t, const Joints& guess, double arc, Node
 
 /// The path's pose at t, displaced by the share 'keep' of what the arm is off it now.
 Pose LimitedStep::ExactLaw::pose(double t, double keep) const {
+  if (t == end_at_ && (!returning_ || keep == keep_)) return end_;
   ShaftGoal goal = request_.path(t);
   if (returning_ && keep > 0) {
     const Vector3 swing = keep * off_swing_;

@@ -46,12 +46,10 @@ struct LimitedStep::Affine {
   Vector6 bias;   ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
   Joints qdd = Joints::Zero();   ///< J^-1 bias, exact form only; zero next to a singularity
   SingularityMeasures measures;  ///< here, where the barrier applies
-  Pose end;  ///< exact form only: where the path is at 'end_at' [s] of the clock
-  double end_at = 0;
-  double secant = 0;       ///< [s] of the clock that qd1 spans; 0: tells no bend
-  bool returning = false;  ///< 'back' is not zero
-  bool moves = false;      ///< the path is not at rest
-  bool regular = true;     ///< J could be inverted
+  double secant = 0;             ///< [s] of the clock that qd1 spans; 0: tells no bend
+  bool returning = false;        ///< 'back' is not zero
+  bool moves = false;            ///< the path is not at rest
+  bool regular = true;           ///< J could be inverted
 
   /// Clock rate expected from the arm's momentum. qd1 is the secant of the path over that part of
   /// the cycle: the secant over the whole cycle would miss a curved path by more than the joints
@@ -138,6 +136,8 @@ class LimitedStep::ExactLaw : public Law {
   double off_depth_ = 0, off_roll_ = 0;
   double keep_ = 0;  ///< share of it that is left after this cycle
   bool returning_ = false;
+  mutable double end_at_ = -1;  ///< [s] of the clock, where 'affine' expects the cycle to end
+  mutable Pose end_;            ///< and the path is then
 };
 
 /// The velocity form: a twist, linear in alpha.

@@ -22,6 +22,14 @@ struct Row {
 /// Two for each joint.
 using Rows = std::array<Row, 2 * kMaxJoints>;
 
+/// x where the row meets y = Y, as 'largest_x' computes it.
+double on_edge(const Row& row, double Y) {
+  const double size = std::hypot(row.A, row.B);
+  const double ux = row.B / size, uy = -row.A / size;
+  const double fx = row.A / size * (row.c / size), fy = row.B / size * (row.c / size);
+  return fx + (Y - fy) / uy * ux;
+}
+
 /// Largest x with all n rows, 0 <= x <= X, 0 <= y <= Y; the origin must be inside. Seidel's
 /// incremental method: each row that the optimum so far breaks becomes the line on which the new
 /// one lies.
@@ -70,6 +78,15 @@ LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const
       arc_(kFirstArc) {
   node_ = {here.q, affine.tangent, affine.measures,
            flange_twist(here.J, affine.tangent).head<3>().norm()};
+  const JointLimits& limits = self.limits_;
+  for (Eigen::Index j = 0; j < n_; ++j) {
+    const double a = limits.acceleration[j], v = limits.velocity[j];
+    acceleration_[j] = a;
+    velocity_[j] = v;
+    position_min_[j] = limits.position_min[j];
+    position_max_[j] = limits.position_max[j];
+    far_[j] = (1 + 1e-9) * (a * limits.position_margin + v * (v + 2 * a * self.T_));
+  }
   most_[0] = fastest();
   // [s] of the clock to a stop, if the joints stayed as fast as here.
   const double enough = most_[0] / (2 * clock_braking(affine.tangent, self.limits_.acceleration));
@@ -148,6 +165,12 @@ double LimitedStep::LookAhead::fastest() const {
   const JointLimits& limits = self_.limits_;
   const double top = kPlanVelocity * flange_velocity_ / std::max(node_.flange, 1e-9);
   double most = std::min(1.0, top * top);
+  // Far from every limit no joint needs its approach.
+  const Joints left = (position_max_ - node_.q).cwiseMin(node_.q - position_min_);
+  if ((acceleration_.cwiseProduct(left) - far_).minCoeff() > 0) {
+    const Joints v = velocity_.array() * (kPlanVelocity / node_.direction.array().abs().max(1e-9));
+    return std::min(most, v.cwiseAbs2().minCoeff());
+  }
   for (Eigen::Index j = 0; j < n_; ++j) {
     const double speed = node_.direction[j];
     const double left =
@@ -165,15 +188,12 @@ double LimitedStep::LookAhead::fastest() const {
 /// node's speed is what a shorter plan found, so is that of all before it. Returns whether a node
 /// beyond this cycle may be passed as fast as it allows: what lies behind only adds room.
 bool LimitedStep::LookAhead::plan() {
-  const Joints most = kPlanAcceleration * padded(self_.limits_.acceleration);
+  const Joints most = kPlanAcceleration * acceleration_;
   square_[last_] = 0;
   const int known = std::exchange(planned_, last_);
   bool settled = false;
   for (int i = last_ - 1; i >= 0; --i) {
-    const Joints &A = from_[i], &B = to_[i];
-    const double before = std::exchange(square_[i], most_[i]);
-    const Joints needed = A.cwiseAbs() * most_[i] + B.cwiseAbs() * square_[i + 1];
-    if (!(needed.array() <= most.array()).all()) square_[i] = fastest_before(i, most);
+    const double before = std::exchange(square_[i], fastest_before(i, most));
     settled |= i > 0 && !(t_[i] < self_.T_) && square_[i] == most_[i];
     if (i < known && square_[i] == before) break;
   }
@@ -183,6 +203,24 @@ bool LimitedStep::LookAhead::plan() {
 /// What the joints can brake from, or speed up from, in the interval before the node after i.
 double LimitedStep::LookAhead::fastest_before(int i, const Joints& most) const {
   const Joints &A = from_[i], &B = to_[i];
+  const double X = most_[i], Y = square_[i + 1];
+  // Most often nothing binds at Y, or one joint alone: where all others are clear of it,
+  // 'largest_x' ends on that joint's row.
+  double alone = INFINITY;
+  Eigen::Index hardest = 0;
+  for (Eigen::Index j = 0; j < n_; ++j) {
+    const double x = (most[j] - std::copysign(Y, A[j]) * B[j]) / std::abs(A[j]);
+    if (!(x < alone)) continue;
+    alone = x;
+    hardest = j;
+  }
+  Joints others = A * std::min(alone, X) + B * Y;
+  if (alone < X) others[hardest] = 0;
+  if ((others.cwiseAbs().array() < (1 - 1e-9) * most.array()).all()) {
+    if (!(alone < X)) return X;
+    const Row row{std::abs(A[hardest]), std::copysign(1, A[hardest]) * B[hardest], most[hardest]};
+    if (alone > 0 && alone < (1 - 1e-9) * X && row.B < 0) return on_edge(row, Y);
+  }
   Rows rows;
   int n = 0;
   for (Eigen::Index j = 0; j < n_; ++j) {
@@ -190,7 +228,7 @@ double LimitedStep::LookAhead::fastest_before(int i, const Joints& most) const {
     rows[n++] = {A[j], B[j], most[j]};
     rows[n++] = {-A[j], -B[j], most[j]};
   }
-  return largest_x(rows, n, most_[i], square_[i + 1]);
+  return largest_x(rows, n, X, Y);
 }
 
 /// alpha^2 below the curve here and after alpha T.
