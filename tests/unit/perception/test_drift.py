@@ -29,8 +29,10 @@ from surg_cli.graph import endoscope
 from surg_cli.host import paths
 from surg_cli.host.terminal import CliError
 from surg_core.lens_file import load_lens
+from surg_core.pictures.eye_projection import EyeProjection
 from surg_perception.calibration.result_files import LEFT, RIGHT
 from surg_perception.calibration.tip_finder import NotSeen
+from surg_perception.drift.drift_evidence import Sighting
 from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState, state_of
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.shaft_finder import find_shaft, lit_part
@@ -242,6 +244,30 @@ def test_what_shows_nothing_is_no_alarm(benches: list[DriftBench]) -> None:
     watch = watch_of(bench.cell)
     watch.look(0.0, first, lambda arm, at: None)
     assert "no joints of ECM" in state_of(watch.verdict, watch.unseen).sentence()
+
+
+def test_where_the_lens_was_not_measured_nothing_is_seen(
+    benches: list[DriftBench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, rng = benches[0], np.random.default_rng(0)
+    motion, parts = Motion(bench.chain, 3, 4.0, True), stated_parts(bench.cell)
+    folder, kept = bench.folder / "calibration", list[Sighting]()
+    lenses = [load_lens(folder / eye) for eye in (LEFT, RIGHT)]
+    watch = DriftWatch(bench.cell, lenses, parts, kept.append)
+    for at in motion.t:
+        look_without_pictures(watch, bench, motion, float(at), Moved(), rng)
+    x = np.zeros(parts[-1].at.stop)
+    for part in parts:
+        x[part.at] = 1e4 * (part.name == "lens of left")
+    again = kept[0].again(x)
+    np.testing.assert_array_equal(again.A, kept[0].A)
+    np.testing.assert_array_equal(again.r, kept[0].r)
+    monkeypatch.setattr(EyeProjection, "plane_of", lambda self, pixels: np.nan * pixels)
+    watch = watch_of(bench.cell)
+    assert not any(
+        look_without_pictures(watch, bench, motion, float(at), Moved(), rng) for at in motion.t
+    )
+    assert "lens was not measured" in state_of(watch.verdict, watch.unseen).reason
 
 
 def test_a_cell_that_nobody_calibrated_is_refused(

@@ -54,7 +54,9 @@ class EyeProjection:
 
     def plane_of(self, pixels: FloatArray) -> FloatArray:
         """What pixels (n, 2) see in this eye's plane z = 1, (n, 2); NaN: beyond the lens."""
-        return self._model.rays(pixels)[:, :2]
+        found = self._model.rays(pixels)[:, :2]
+        found[~(np.hypot(*found.T) < self._widest)] = np.nan
+        return found
 
     def plane_per_pixel(self, p_V: FloatArray) -> FloatArray:
         """(2, 2) derivative of that by the pixel, where a point (3,) is seen [1/px]."""

@@ -190,6 +190,9 @@ class DriftWatch:
                 continue
             first, last = np.round(seen.at).astype(int)
             beside = pixels[[first, last]] + seen.offsets[:, None] * seen.normals
+            if not np.isfinite(self._eyes[eye].plane_of(beside)).all():
+                self.unseen["a shaft is seen where the lens was not measured"] += 1
+                continue
             lines.append((eye, (int(first), int(last)), beside))
             noise.extend([seen.sd] * 2)
         if lines:
@@ -213,21 +216,24 @@ class DriftWatch:
         """
         again = partial(self._sighting, stamp, axis, lines, sd)
         step = np.zeros(self.parts[-1].at.stop) if x is None else x
-        between = axis
+        between, moving = axis, self._without_lenses(step)
         if x is not None:
-            between = self._half_way(axis, x, {0, *(at for _, two, _ in lines for at in two)})
+            points = {0, *(at for _, two, _ in lines for at in two)}
+            between = self._half_way(axis, moving, points)
             if (between.p_V[:, 2] < NEAREST * axis.p_V[:, 2]).any():
                 return again(None)  # no bump: what joints do not drive is fitted by any step
         A, r = [], []
         for eye, two, pixels in lines:
             lens = next(p.at for p in self.parts if p.kind == LENS and p.of == EYES[eye])
             first, last = self._eyes[eye].plane_of(pixels - step[lens])
+            if not np.isfinite([first, last]).all():
+                return again(None)
             n = np.array([first[1] - last[1], last[0] - first[0]])
             n *= self._focal / np.linalg.norm(n)
             for at in two:
                 n_pixel = n @ self._eyes[eye].plane_per_pixel(between.p_V[at])
                 A.append(n_pixel @ self._derivatives(between, eye, at))
-                way = self._derivatives(between, 0, at, metres=True) @ self._without_lenses(step)
+                way = self._derivatives(between, 0, at, metres=True) @ moving
                 there = self._eyes[eye].plane((axis.p_V[at] + way)[None])[0]
                 r.append(n @ (first - there) + A[-1] @ step)
         # Along the shaft nothing is seen: what it is beside its place is across.
