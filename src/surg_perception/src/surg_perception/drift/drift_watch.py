@@ -229,13 +229,13 @@ class DriftWatch:
             if not np.isfinite([first, last]).all():
                 return again(None)
             n = np.array([first[1] - last[1], last[0] - first[0]])
-            n *= self._focal / np.linalg.norm(n)
             for at in two:
                 n_pixel = n @ self._eyes[eye].plane_per_pixel(between.p_V[at])
-                A.append(n_pixel @ self._derivatives(between, eye, at))
+                per_pixel = np.linalg.norm(n_pixel)  # noise is of the picture
+                A.append(n_pixel / per_pixel @ self._derivatives(between, eye, at))
                 way = self._derivatives(between, 0, at, metres=True) @ moving
                 there = self._eyes[eye].plane((axis.p_V[at] + way)[None])[0]
-                r.append(n @ (first - there) + A[-1] @ step)
+                r.append(n @ (first - there) / per_pixel + A[-1] @ step)
         # Along the shaft nothing is seen: what it is beside its place is across.
         s_V = (axis.p_V[-1] - axis.p_V[0]) / np.linalg.norm(axis.p_V[-1] - axis.p_V[0])
         across = np.eye(3) - np.outer(s_V, s_V)
