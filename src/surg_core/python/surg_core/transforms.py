@@ -265,6 +265,10 @@ def twist_angle(rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     return np.arctan2(sine, cosine), np.sqrt(np.hypot(sine, cosine) / 2.0)
 
 
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+"""Times a unit quaternion x, y, z, w: the turn back."""
+
+
 def multiply_quaternions(a: FloatArray, b: FloatArray) -> FloatArray:
     """Products of quaternions x, y, z, w, ``(…, 4)``, row by row: first b, then a."""
     ax, ay, az, aw = a.T
@@ -280,7 +284,7 @@ def multiply_quaternions(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def turn_between(q: FloatArray, q_next: FloatArray) -> FloatArray:
     """Rotation vector (3,) [rad] that turns a quaternion ``(4,)`` into the next; at most pi."""
-    *v, w = multiply_quaternions(q_next, q * [-1.0, -1.0, -1.0, 1.0]).tolist()
+    *v, w = multiply_quaternions(q_next, q * CONJUGATE).tolist()
     sine = math.hypot(*v)
     angle = 2.0 * math.atan2(sine, abs(w))
     return np.array(v) * (math.copysign(angle, w) / sine if sine > 0.0 else 0.0)
@@ -295,7 +299,7 @@ def rotate(q_AB: FloatArray, v_B: FloatArray) -> FloatArray:
 
 def rotate_back(q_AB: FloatArray, v_A: FloatArray) -> FloatArray:
     """Vectors ``(N, 3)`` in the axes of A, in those of B: the inverse of :func:`rotate`."""
-    return rotate(q_AB * [-1.0, -1.0, -1.0, 1.0], v_A)
+    return rotate(q_AB * CONJUGATE, v_A)
 
 
 def tip_quaternions(s_R: FloatArray, roll: FloatArray) -> FloatArray:

@@ -13,13 +13,12 @@ import numpy as np
 
 from surg_console.web.page_protocol import Input
 from surg_core.arm_view import Array
-from surg_core.transforms import multiply_quaternions
+from surg_core.transforms import CONJUGATE, multiply_quaternions
 
 SETTLE = 0.1
 """[s] Between closing the clutch and moving the camera pedal, between that and opening the clutch,
 and from there until motion counts. Each travels on a topic of its own, and must be there first: a
 pedal that overtakes a motion would turn it over to the other arm."""
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 class DeadMan:
@@ -86,7 +85,7 @@ class DeadMan:
         if self._last is not None:
             last_p, last_q = self._last
             self._p = self._p + p - last_p
-            turn = multiply_quaternions(last_q * _CONJUGATE, q)
+            turn = multiply_quaternions(last_q * CONJUGATE, q)
             turned = multiply_quaternions(self._q, turn)
             self._q = turned / np.linalg.norm(turned)
         self._last = p, q

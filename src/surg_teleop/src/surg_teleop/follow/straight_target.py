@@ -13,11 +13,10 @@ import numpy as np
 
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.hand.leader_sample import HandlePose, LeaderSample
-from surg_core.transforms import multiply_quaternions
+from surg_core.transforms import CONJUGATE, multiply_quaternions
 from surg_teleop.follow.target_pose import StepLimits, TargetPose
 from surg_teleop.playback.workspace_fit import Workspace
 
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 MIN_TWIST = 0.17
 """|cos(swing / 2)| of a hand must exceed this, 160 degrees of swing: near the singularity a little
 tremor is much roll. A hand that has turned so far is latched anew."""
@@ -37,7 +36,7 @@ class Handle:
     def move(self, pose: HandlePose) -> None:
         """The next sample."""
         self.p = pose.p_VH
-        _, _, z, w = multiply_quaternions(self._latched * _CONJUGATE, pose.q_VH).tolist()
+        _, _, z, w = multiply_quaternions(self._latched * CONJUGATE, pose.q_VH).tolist()
         turn = math.remainder(2.0 * math.atan2(z, w) - (self.roll - self._offset), math.tau)
         if math.hypot(z, w) < MIN_TWIST:
             # The swing is too large to tell the roll: go on from here, the roll as it is.
