@@ -17,7 +17,7 @@ FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
 MISFIT = 2.0
 """[sigma^2] Largest median residual of the best hypothesis, so that anybody can tell. A true
-one leaves 0.2 to 0.8, a bump by centimetres 2, another motion than the joints' mostly more."""
+one leaves 0.2 to 0.8, another motion than the joints' mostly more."""
 
 
 @dataclass(frozen=True)
