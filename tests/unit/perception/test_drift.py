@@ -32,9 +32,9 @@ from surg_core.lens_file import load_lens
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_perception.calibration.result_files import LEFT, RIGHT
 from surg_perception.calibration.tip_finder import NotSeen
-from surg_perception.drift.drift_evidence import Sighting
 from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState, state_of
 from surg_perception.drift.drift_watch import DriftWatch
+from surg_perception.drift.seen_shafts import THROWN, SeenShaft, stacked
 from surg_perception.drift.shaft_finder import find_shaft, lit_part
 from surg_perception.drift.stated_parts import stated_parts
 from surg_sim.physics.patient_settings import SETTINGS
@@ -51,9 +51,10 @@ def benches(tmp_path_factory: pytest.TempPathFactory) -> list[DriftBench]:
     return [DriftBench(tmp_path_factory.mktemp("cell"), 30 + k) for k in range(CALIBRATIONS)]
 
 
-def watch_of(cell: surg_core.Cell) -> DriftWatch:
+def watch_of(cell: surg_core.Cell, take: Callable[[SeenShaft], None] | None = None) -> DriftWatch:
     folder = cell.folder / "calibration"
-    return DriftWatch(cell, [load_lens(folder / e) for e in (LEFT, RIGHT)], stated_parts(cell))
+    lenses = [load_lens(folder / e) for e in (LEFT, RIGHT)]
+    return DriftWatch(cell, lenses, stated_parts(cell), take)
 
 
 def played(
@@ -250,24 +251,57 @@ def test_where_the_lens_was_not_measured_nothing_is_seen(
     benches: list[DriftBench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench, rng = benches[0], np.random.default_rng(0)
-    motion, parts = Motion(bench.chain, 3, 4.0, True), stated_parts(bench.cell)
-    folder, kept = bench.folder / "calibration", list[Sighting]()
-    lenses = [load_lens(folder / eye) for eye in (LEFT, RIGHT)]
-    watch = DriftWatch(bench.cell, lenses, parts, kept.append)
+    motion = Motion(bench.chain, 3, 4.0, True)
+    kept = list[SeenShaft]()
+    watch = watch_of(bench.cell, kept.append)
     for at in motion.t:
         look_without_pictures(watch, bench, motion, float(at), Moved(), rng)
-    x = np.zeros(parts[-1].at.stop)
-    for part in parts:
+    x = np.zeros(watch.rows.steps)
+    for part in stated_parts(bench.cell):
         x[part.at] = 1e4 * (part.name == "lens of left")
-    again = kept[0].again(x)
-    np.testing.assert_array_equal(again.A, kept[0].A)
-    np.testing.assert_array_equal(again.r, kept[0].r)
+    left = [each for each in kept if np.isfinite(each.pixels[0]).all()]
+    rows = watch.rows.at(stacked(left), x)
+    assert not rows.A.any() and (rows.r == THROWN).all()
     monkeypatch.setattr(EyeProjection, "plane_of", lambda self, pixels: np.nan * pixels)
     watch = watch_of(bench.cell)
     assert not any(
         look_without_pictures(watch, bench, motion, float(at), Moved(), rng) for at in motion.t
     )
     assert "lens was not measured" in state_of(watch.verdict, watch.unseen).reason
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_derivatives_are_those_of_a_shaft_that_steps_by_centimetres(
+    seed: int, benches: list[DriftBench]
+) -> None:
+    """Against differences, where the shaft is seen as large steps of all parts put it."""
+    bench, rng, kept = benches[0], np.random.default_rng(seed), list[SeenShaft]()
+    watch, motion = watch_of(bench.cell, kept.append), Motion(bench.chain, seed, 3.0, True)
+    for at in motion.t:
+        look_without_pictures(watch, bench, motion, float(at), Moved(), rng)
+    rows, parts = watch.rows, stated_parts(bench.cell)
+    sd = np.concatenate([np.sqrt(np.diag(part.moved)) for part in parts])
+    x = 0.2 * rng.normal(size=len(sd)) * sd
+    ends = rows.moved(stacked(kept), x)
+    for shaft, (low, high) in zip(kept, ends, strict=True):
+        for eye, view in enumerate(rows.eyes):
+            shaft.pixels[eye] = view.pixels(np.linspace(low, high, 5)[[1, 3]])
+            shaft.pixels[eye] += rows.of_lens(eye, x)
+
+    def off(steps: np.ndarray) -> np.ndarray:
+        found = rows.at(stacked(kept), steps)
+        return np.asarray(found.r - found.A @ steps)
+
+    found = rows.at(stacked(kept), x)
+    seen = found.A.any(axis=2)
+    assert seen.sum() >= 8
+    np.testing.assert_allclose(off(x)[seen], 0.0, atol=1e-9)
+    for number, one in enumerate(sd):
+        step = np.zeros(len(sd))
+        step[number] = 1e-5 * one
+        slope = (off(x - step) - off(x + step))[seen] / 2e-5
+        true = found.A[..., number][seen] * one
+        assert np.abs(slope - true).max() < 0.02 * np.abs(found.A[seen] * sd).max()
 
 
 def test_a_cell_that_nobody_calibrated_is_refused(

@@ -34,7 +34,7 @@ class EyeProjection:
 
     def pixels(self, p_V: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) before the left eye [m]; NaN: the eye cannot see them."""
-        p = p_V @ self._X_EV[:3, :3].T + self._X_EV[:3, 3]
+        p = self.before(p_V)
         before = p[:, 2] > NEAREST
         before[before] &= np.hypot(*p[before, :2].T) < self._widest * p[before, 2]
         found = np.full((len(p), 2), np.nan)
@@ -42,24 +42,27 @@ class EyeProjection:
         return found
 
     def derivative(self, p_V: FloatArray) -> FloatArray:
-        """(2, 3) of the pixel by a point (3,) before the left eye [px/m]."""
-        p = self._X_EV[:3, :3] @ p_V + self._X_EV[:3, 3]
-        by_point = self._model.derivatives(p[None])[1][0]
-        return np.asarray(by_point @ self._X_EV[:3, :3])
+        """(..., 2, 3) of pixels by points (..., 3) before the left eye [px/m]."""
+        return self.slopes(p_V)[0]
+
+    def slopes(self, p_V: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """That, and (..., 2, 2) derivatives of the plane z = 1 by pixels there [1/px]."""
+        p = self.before(p_V)
+        by_point = self._model.derivatives(p.reshape(-1, 3))[1].reshape(*p.shape[:-1], 2, 3)
+        per_pixel = np.linalg.inv(by_point[..., :2] * p[..., 2, None, None])
+        return by_point @ self._X_EV[:3, :3], per_pixel
+
+    def before(self, p_V: FloatArray) -> FloatArray:
+        """Points (..., 3) before the left eye, before this one [m]."""
+        return np.asarray(p_V @ self._X_EV[:3, :3].T + self._X_EV[:3, 3])
 
     def plane(self, p_V: FloatArray) -> FloatArray:
-        """Where points (n, 3) before the left eye [m] lie in this eye's plane z = 1, (n, 2)."""
-        p = p_V @ self._X_EV[:3, :3].T + self._X_EV[:3, 3]
-        return np.asarray(p[:, :2] / p[:, 2:])
+        """Where points (..., 3) before the left eye [m] lie in this eye's plane z = 1, (..., 2)."""
+        p = self.before(p_V)
+        return np.asarray(p[..., :2] / p[..., 2:])
 
     def plane_of(self, pixels: FloatArray) -> FloatArray:
         """What pixels (n, 2) see in this eye's plane z = 1, (n, 2); NaN: beyond the lens."""
         found = self._model.rays(pixels)[:, :2]
         found[~(np.hypot(*found.T) < self._widest)] = np.nan
         return found
-
-    def plane_per_pixel(self, p_V: FloatArray) -> FloatArray:
-        """(2, 2) derivative of that by the pixel, where a point (3,) is seen [1/px]."""
-        p = self._X_EV[:3, :3] @ p_V + self._X_EV[:3, 3]
-        by_point = self._model.derivatives(p[None])[1][0]
-        return np.linalg.inv(by_point[:, :2] * p[2])

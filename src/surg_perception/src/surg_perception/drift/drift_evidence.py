@@ -14,14 +14,15 @@ like probabilities.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from surg_core.transforms import FloatArray
-from surg_perception.drift.drift_fits import Fits, Sums, fits_of
+from surg_perception.drift.drift_fits import Fits, Sums, fits_of, joined
 from surg_perception.drift.moving_parts import LENS, TOOL, Part
+from surg_perception.drift.seen_shafts import SeenShaft, ShaftRows, stacked
 from surg_perception.drift.shaft_breath import BEND, ShaftBreath
 
 NOTHING = "nothing"
@@ -52,30 +53,9 @@ UNLIKELY = 1e-3
 """Probability of a hypothesis below which it does not count there."""
 STILL_LIKELY = 0.5
 """Probability of no motion above which the chain counts as one at rest."""
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """What one pair of pictures says of one instrument.
-
-    Attributes:
-        stamp: When [s].
-        A: (m, P) derivatives of the residuals by all steps.
-        r: (m,) residuals [px].
-        sd: (m,) of their noise [px].
-        place: (3, P) how far the shaft's end then lies beside the place that joints give it, across
-            the shaft [m].
-        pixel: What one pixel is there [m].
-        again: The same with derivatives that hold for these steps (P,).
-    """
-
-    stamp: float
-    A: FloatArray
-    r: FloatArray
-    sd: FloatArray
-    place: FloatArray
-    pixel: float
-    again: Callable[[FloatArray], Sighting]
+MISFIT = 2.0
+"""[sigma^2] Largest median residual of what a hypothesis explains. A true one leaves 0.2 to 0.8,
+another motion than the joints' mostly more."""
 
 
 @dataclass(frozen=True)
@@ -86,22 +66,28 @@ class Verdict:
         probabilities: Of `NOTHING` and of each part's name; their sum is 1.
         best: The most probable part.
         x: (P,) steps of all parts, if the best one moved.
-        covariance: (P, P) of x.
         beside: How far the newest instruments are seen beside their place [m]: least, expected,
             largest, 95 %.
         misfit: Median squared residual of sightings since, by the best hypothesis [sigma^2].
         since: Stamp of the first sighting after the best part moved [s].
         sightings: How many there are since.
+        again: Whether the judgement before was of the same motion. What joints do not drive looks
+            for some sightings as if a part had moved, then otherwise.
     """
 
     probabilities: dict[str, float]
     best: Part
     x: FloatArray
-    covariance: FloatArray
     beside: tuple[float, float, float]
     misfit: float
     since: float
     sightings: int
+    again: bool
+
+    @property
+    def moved(self) -> bool:
+        """Whether a part rather moved than not, and that explains what is seen."""
+        return self.nothing < STILL_LIKELY and self.misfit < MISFIT
 
     @property
     def nothing(self) -> float:
@@ -116,13 +102,13 @@ class DriftEvidence:
 
     Args:
         parts: All parts.
+        rows: What a sighting says of their steps.
     """
 
-    def __init__(self, parts: Sequence[Part]) -> None:
-        self.parts = list(parts)
-        self._steps = parts[-1].at.stop
+    def __init__(self, parts: Sequence[Part], rows: ShaftRows) -> None:
+        self.parts, self._rows = list(parts), rows
         self._breath = ShaftBreath([part.at for part in self.parts if part.kind == TOOL])
-        size = self._steps + self._breath.size
+        size = rows.steps + self._breath.size
         self._unit, still = np.full(size, BEND), BEND**2 * np.eye(size)
         shapes = []
         for part in self.parts:
@@ -140,66 +126,53 @@ class DriftEvidence:
             bias[part.at] = BIAS**2 * (part.kind == LENS)
         self._wander = np.array([np.zeros((size, size)), *shapes])
         self._wander += STABLE**2 * self._still + np.diag(bias / self._unit**2)
-        self._mean = np.zeros(size)
-        self._kept: list[Sighting] = []
+        self._mean, self._none = np.zeros(size), np.zeros(rows.steps)
+        self._kept: list[SeenShaft] = []
         empty = ((4, size), (4,), (size * size,), (size,))
         self._sums = Sums(*(np.zeros((0, *shape)) for shape in empty))
         self._variances = np.zeros(0)
         self._noise = BIAS**2 + ALIKE * BIAS**2
-        self._judged_at, self._renewed = -np.inf, -1
+        self._at = np.zeros((len(self.parts), rows.steps))
+        self._judged_at = -np.inf
         self._verdict: Verdict | None = None
         self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 2))
 
-    def add(self, sighting: Sighting) -> Verdict | None:
+    def add(self, sighting: SeenShaft) -> Verdict | None:
         """Take in the newest sighting; returns the newest judgement, None: too few sightings."""
         self._kept.append(sighting)
-        told = zip(self._sums, self._told(sighting), strict=True)
-        self._sums = Sums(*(np.concatenate([old, new[None]]) for old, new in told))
         self._variances = np.append(self._variances, self._noise)
+        told, _ = self._told(slice(-1, None), self._none)
+        pairs = zip(self._sums, told, strict=True)
+        self._sums = Sums(*(np.concatenate([old, new]) for old, new in pairs))
         since = abs(sighting.stamp - self._judged_at)
         if len(self._kept) >= LENGTHS[0] and since >= PERIOD:
             self._verdict, self._judged_at = self._judged(), sighting.stamp
-            self._renew()
             self._forget()
         return self._verdict
 
-    def _moved(self) -> bool:
-        return self._verdict is not None and self._verdict.nothing < STILL_LIKELY
+    def _told(self, kept: slice, x: FloatArray) -> tuple[Sums, FloatArray]:
+        """What sightings say where the steps x (P,) put shafts, and all places (3 n, P)."""
+        shafts, variances = stacked(self._kept[kept]), self._variances[kept]
+        rows, n = self._rows.at(shafts, x), len(variances)
+        sd = np.sqrt(rows.sd**2 + variances[:, None])
+        A = self._derivatives(rows.A, shafts.stamp) / sd[..., None]
+        r, columns = rows.r / sd, A.transpose(0, 2, 1)
+        place = self._derivatives(rows.place, shafts.stamp).reshape(3 * n, -1)
+        pull = (columns @ r[..., None])[..., 0]
+        return Sums(A, r, (columns @ A).reshape(n, -1), pull), place
 
-    def _told(self, sighting: Sighting) -> Sums:
-        """Of one sighting."""
-        sd = np.sqrt(sighting.sd**2 + self._noise)
-        A, r = np.zeros((4, len(self._unit))), np.zeros(4)
-        A[: len(sd)] = self._derivatives(sighting.A, sighting.stamp) / sd[:, None]
-        r[: len(sd)] = sighting.r / sd
-        return Sums(A, r, (A.T @ A).ravel(), A.T @ r)
-
-    def _derivatives(self, A: FloatArray, stamp: float) -> FloatArray:
-        """(m, P) by all steps and bends, of those (m, k) by all steps in SI."""
-        return np.hstack([A, self._breath.bends(A, stamp)]) * self._unit
+    def _derivatives(self, A: FloatArray, stamps: FloatArray) -> FloatArray:
+        """(N, m, P) by all steps and bends, of those (N, m, k) by all steps in SI."""
+        bends = self._breath.bends(A, stamps)
+        return np.asarray(np.concatenate([A, bends], axis=2) * self._unit)
 
     def _breathe(self, x: FloatArray) -> None:
         """Take the rate of breathing from what is seen at rest, beside the steps x (P,)."""
-        sums, steps = self._sums, self._steps
-        off = sums.r - sums.A[:, :, :steps] @ x[:steps]
+        A = self._sums.A[:, :, : self._rows.steps]
+        off = self._sums.r - A @ x[: self._rows.steps]
         stamps = np.array([each.stamp for each in self._kept])
-        if self._breath.heard(sums.A[:, :, :steps] / self._unit[:steps], off, stamps):
-            told = [self._told(each) for each in self._kept]
-            self._sums = Sums(*(np.array(each) for each in zip(*told, strict=True)))
-
-    def _renew(self) -> None:
-        """Take some sightings since the motion again, where its steps by now put the shaft."""
-        verdict, count = self._verdict, len(self._kept)
-        assert verdict is not None
-        if not self._moved():
-            return
-        for _ in range(NEWEST):
-            following = (self._renewed + 1) % count
-            self._renewed = max(following, count - verdict.sightings)
-            self._kept[self._renewed] = self._kept[self._renewed].again(verdict.x)
-            told = self._told(self._kept[self._renewed])
-            for sums, each in zip(self._sums, told, strict=True):
-                sums[self._renewed] = each
+        if self._breath.heard(A / self._unit[: self._rows.steps], off, stamps):
+            self._sums, _ = self._told(slice(None), self._none)
 
     def _forget(self) -> None:
         """Let the oldest sightings go; of a chain at rest they narrow what is known of it."""
@@ -207,11 +180,11 @@ class DriftEvidence:
         if old < NEWEST:
             return
         assert self._verdict is not None
-        if not self._moved():
+        if self._verdict.nothing >= STILL_LIKELY:
             mask = (np.arange(len(self._kept)) < old)[None].astype(float)
             fits = fits_of(self._sums, mask, self._mean[None], self._still[None])
             self._mean, self._still = fits.x[0], fits.covariance[0]
-            steps = self._steps
+            steps = self._rows.steps
             self._mean[steps:] = self._still[steps:, :] = self._still[:, steps:] = 0.0
             self._still[steps:, steps:] = np.eye(len(self._mean) - steps)
         del self._kept[:old]
@@ -219,22 +192,16 @@ class DriftEvidence:
         self._variances = self._variances[old:]
 
     def _judged(self) -> Verdict:
-        count = len(self._kept)
-        since = np.inf if self._verdict is None else self._verdict.since
+        count, last = len(self._kept), self._verdict
+        since = np.inf if last is None else last.since
         moved = sum(each.stamp >= since for each in self._kept)
         lengths = np.array(sorted({n for n in (*LENGTHS, moved) if LENGTHS[0] <= n <= count}))
-        times, kinds, size = len(lengths), len(self._wander), len(self._unit)
+        times, kinds = len(lengths), len(self._wander)
         before = (np.arange(count) < (count - lengths)[:, None]).astype(float)
         rest = fits_of(
             self._sums, before, np.tile(self._mean, (times, 1)), np.tile(self._still, (times, 1, 1))
         )
-        prior = rest.covariance[:, None] + self._wander
-        fits = fits_of(
-            self._sums,
-            np.repeat(1.0 - before, kinds, axis=0),
-            np.repeat(rest.x, kinds, axis=0),
-            prior.reshape(-1, size, size),
-        )
+        fits, places = self._hypotheses(1.0 - before, rest)
         log = fits.log.reshape(times, kinds) + rest.log[:, None] - np.log(times)
         log[:, 1:] += self._prior
         p = np.exp(log - log.max())
@@ -242,45 +209,70 @@ class DriftEvidence:
         by_part = p[:, 1:].sum(axis=0).reshape(len(self.parts), -1).sum(axis=1)
         names = (NOTHING, *(part.name for part in self.parts))
         probabilities = dict(zip(names, (p[:, 0].sum(), *by_part), strict=True))
-        most = int(np.argmax(by_part))
-        of_part = np.zeros(kinds, dtype=bool)
-        of_part[1 + most * len(SCALES) : 1 + (most + 1) * len(SCALES)] = True
-        best = int(np.argmax(np.where(of_part, p, -1.0)))
-        held = int(np.argmax(p))
+        likeliest = [_likeliest(log, number) for number in range(len(self.parts))]
+        most, held = int(np.argmax(by_part)), int(np.argmax(p))
+        best = likeliest[most]
         length = int(lengths[best // kinds])
-        beside = self._beside(p.ravel(), fits)
+        beside = self._beside(p.ravel(), fits, places)
+        misfit = float(np.median(fits.chi[held, -lengths[held // kinds] :]))
         if probabilities[NOTHING] > STILL_LIKELY:
             self._listen(fits.chi[(times - 1) * kinds, -lengths[-1] :])
             self._breathe(fits.x[(times - 1) * kinds])
+        explained = max(misfit, float(np.median(fits.chi[0, -NEWEST:]))) < MISFIT
+        steady = probabilities[NOTHING] > STILL_LIKELY and explained
+        self._at = (fits.x[likeliest] * self._unit)[:, : self._rows.steps] * (not steady)
         return Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
-            (fits.x[best] * self._unit)[: self._steps],
-            (fits.covariance[best] * np.outer(self._unit, self._unit))[
-                : self._steps, : self._steps
-            ],
+            (fits.x[best] * self._unit)[: self._rows.steps],
             beside,
-            float(np.median(fits.chi[held, -lengths[held // kinds] :])),
+            misfit,
             self._kept[-length].stamp,
             length,
+            last is not None and last.moved and length == moved,
         )
+
+    def _hypotheses(self, mask: FloatArray, rest: Fits) -> tuple[Fits, list[FloatArray]]:
+        """Fits of all kinds at each of T times, and for each kind the places of the newest.
+
+        Each part's are made where its own steps by now put the shafts, so that they converge.
+
+        Args:
+            mask: (T, N) of the sightings since.
+            rest: Of those before, at each time.
+        """
+        prior = rest.covariance[:, None] + self._wander
+        _, place = self._told(slice(-NEWEST, None), self._none)
+        groups = [(len(self._wander), self._sums, place)]
+        if self._at.any():
+            groups = [(1, self._sums, place)]
+            for x in self._at:
+                sums, place = self._told(slice(None), x)
+                groups.append((len(SCALES), sums, place[-3 * NEWEST :]))
+        found, places = list[Fits](), list[FloatArray]()
+        for kinds, sums, place in groups:
+            of, size = slice(len(places), len(places) + kinds), len(self._unit)
+            means, priors = np.repeat(rest.x, kinds, axis=0), prior[:, of].reshape(-1, size, size)
+            found.append(fits_of(sums, np.repeat(mask, kinds, axis=0), means, priors))
+            places += [np.linalg.qr(place / np.sqrt(NEWEST))[1]] * kinds
+        return joined(found, len(mask)), places
 
     def _listen(self, chi: FloatArray) -> None:
         """Take the noise of sightings from what the newest scatter by at rest (n,)."""
-        newest = self._kept[-len(chi) :]
-        rows = np.array([len(each.r) for each in newest])
+        rows = 2 * np.isfinite(stacked(self._kept[-len(chi) :]).pixels[:, :, 0, 0]).sum(axis=1)
         scatter = np.median(chi * self._variances[-len(chi) :] / rows) / 0.8  # of 2 or 4 rows
         self._noise = BIAS**2 + ALIKE * min(float(scatter), ROUGH**2)
 
-    def _beside(self, p: FloatArray, fits: Fits) -> tuple[float, float, float]:
+    def _beside(
+        self, p: FloatArray, fits: Fits, places: Sequence[FloatArray]
+    ) -> tuple[float, float, float]:
         """Quantiles of the root mean square of the newest shifts, over all hypotheses [m]."""
-        newest = self._kept[-NEWEST:]
-        places = np.concatenate([self._derivatives(each.place, each.stamp) for each in newest])
-        place: FloatArray = np.linalg.qr(places / np.sqrt(len(newest)))[1]
-        bias = np.sqrt(self._noise) * newest[-1].pixel * self._draws[:, -1]
+        pixel = float(self._kept[-1].p_V[0, 2]) / self._rows.focal
+        bias = np.sqrt(self._noise) * pixel * self._draws[:, -1]
         curved = 1.0 + CURVED * self._draws[:, -2]
         drawn, weights = [], []
         for number in np.flatnonzero(p > UNLIKELY):
+            place = places[number % len(places)]
             spread, axes = np.linalg.eigh(place @ fits.covariance[number] @ place.T)
             half = axes * np.sqrt(np.maximum(spread, 0.0))
             shift = place @ fits.x[number] + self._draws[:, : len(half)] @ half.T
@@ -292,3 +284,11 @@ class DriftEvidence:
         held = np.cumsum(weight[order]) / weight.sum()
         low, middle, high = values[order][np.searchsorted(held, [0.025, 0.5, 0.975])]
         return float(low), float(middle), float(high)
+
+
+def _likeliest(log: FloatArray, part: int) -> int:
+    """Number of the likeliest hypothesis of a part, of log (T, kinds)."""
+    of_part = np.full(log.shape, -np.inf)
+    kinds = slice(1 + part * len(SCALES), 1 + (part + 1) * len(SCALES))
+    of_part[:, kinds] = log[:, kinds]
+    return int(np.argmax(of_part))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -78,3 +79,14 @@ def fits_of(sums: Sums, mask: FloatArray, mean: FloatArray, prior: FloatArray) -
     covariance = np.linalg.solve(system, prior)
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
     return Fits(x, covariance, log, chi)
+
+
+def joined(found: Sequence[Fits], times: int) -> Fits:
+    """Fits of several kinds of hypotheses at each of the same times, as one: time by time."""
+
+    def of(name: str) -> FloatArray:
+        parts = [np.asarray(getattr(each, name)) for each in found]
+        rows = [part.reshape(times, -1, *part.shape[1:]) for part in parts]
+        return np.concatenate(rows, axis=1).reshape(-1, *parts[0].shape[1:])
+
+    return Fits(of("x"), of("covariance"), of("log"), of("chi"))

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from operator import itemgetter
 
-from surg_perception.drift.drift_evidence import NEWEST, NOTHING, STILL_LIKELY, Verdict
+from surg_perception.drift.drift_evidence import MISFIT, NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 0.95
@@ -15,9 +15,6 @@ LIKELY = 0.8
 """Probability from which a kind of part is named as the cause."""
 FAR = 0.001
 """[m] Surely this far beside their place, nothing that trusts the picture may begin."""
-MISFIT = 2.0
-"""[sigma^2] Largest median residual of the best hypothesis, so that anybody can tell. A true
-one leaves 0.2 to 0.8, another motion than the joints' mostly more."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +67,7 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    # What joints do not drive looks for some sightings as if a part had moved.
-    lasting = verdict.sightings > NEWEST
-    word = MOVED if verdict.nothing < 1.0 - SURE and lasting else UNKNOWN
+    word = MOVED if verdict.nothing < 1.0 - SURE and verdict.again else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
     reason, cause, likely = "", "", 0.0

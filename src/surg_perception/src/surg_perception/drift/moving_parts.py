@@ -18,11 +18,16 @@ A pose's step is a rotation vector [rad] and a shift [m], as in `small_motions`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surg_core.transforms import FloatArray, skew
+from surg_core.transforms import FloatArray
+
+if TYPE_CHECKING:
+    from surg_perception.drift.seen_shafts import Shafts
 
 EYES = ("left", "right")
 CAMERA, BASE, LENS, TOOL, LAG = "camera", "base", "lens", "tool", "lag"
@@ -88,59 +93,53 @@ def parts_of(
     return parts
 
 
-@dataclass(frozen=True)
-class SeenPoint:
-    """A point of an instrument as its joints put it before an eye.
-
-    Attributes:
-        arm: Whose instrument.
-        eye: ``left`` or ``right``.
-        p_V: (3,) before the left eye [m].
-        v_V: (3,) its speed there, by the joints [m/s].
-        p_W: (3,) in the world [m].
-        p_TipP_F: (3,) from the tip, in the flange's axes [m].
-        R_VW: (3, 3).
-        R_WF: (3, 3) of the flange that carries it.
-        by_point: (m, 3) derivative by p_V of the pixel [px/m], or of the place itself: (3, 3).
-        per_pixel: What one pixel is in the same unit, across the view.
-    """
-
-    arm: str
-    eye: str
-    p_V: FloatArray
-    v_V: FloatArray
-    p_W: FloatArray
-    p_TipP_F: FloatArray
-    R_VW: FloatArray
-    R_WF: FloatArray
-    by_point: FloatArray
-    per_pixel: float = 1.0
-
-
-def derivatives(
-    point: SeenPoint, parts: list[Part], scope: str, origins: dict[str, FloatArray]
+def place_derivatives(
+    shafts: Shafts, parts: Sequence[Part], scope: str, origins: dict[str, FloatArray]
 ) -> FloatArray:
-    """(m, P) of what `by_point` is the derivative of, by the steps of all parts.
+    """(N, 2, 3, P) of both ends of N shafts before the left eye, by the steps of all parts.
 
     Args:
-        point: The point.
+        shafts: The shafts.
         parts: As `parts_of` gives them.
         scope: Name of the arm that holds the endoscope.
         origins: (3,) of each arm's base in the world [m].
     """
-    rows = np.zeros((len(point.by_point), parts[-1].at.stop))
-    by_world = point.by_point @ point.R_VW
+    D = np.zeros((*shafts.p_V.shape, parts[-1].at.stop))
+    R_VW, R_VF = shafts.R_VW[:, None], (shafts.R_VW @ shafts.R_WF)[:, None]
     for part in parts:
+        own = (shafts.arm == part.of)[:, None, None, None]
         if part.kind == CAMERA:
-            rows[:, part.at] = point.by_point @ np.hstack([skew(point.p_V), -np.eye(3)])
-        elif part.kind == BASE and part.of in (scope, point.arm):
-            carried = np.hstack([-skew(point.p_W - origins[part.of]), np.eye(3)])
-            rows[:, part.at] = by_world @ carried * (-1.0 if part.of == scope else 1.0)
-        elif part.kind == LENS and part.of == point.eye:
-            rows[:2, part.at] = point.per_pixel * np.eye(2)
-        elif part.kind == TOOL and part.of == point.arm:
-            carried = np.hstack([-skew(point.p_TipP_F), np.eye(3)])
-            rows[:, part.at] = by_world @ point.R_WF @ carried
+            D[..., part.at] = -_carried(shafts.p_V)
+        elif part.kind == BASE:
+            way = R_VW @ _carried(shafts.p_W - origins[part.of])
+            D[..., part.at] = -way if part.of == scope else way * own
+        elif part.kind == TOOL:
+            D[..., part.at] = R_VF @ _carried(shafts.p_TipP_F) * own
         elif part.kind == LAG:
-            rows[:, part.at] = -(point.by_point @ point.v_V)[:, None]
+            D[..., part.at] = -shafts.v_V[..., None]
+    return D
+
+
+def turns(shafts: Shafts, parts: Sequence[Part], scope: str, steps: FloatArray) -> FloatArray:
+    """(N, 3) rotation vectors by which steps (N, P) turn each shaft before the left eye."""
+    R_VF, turned = shafts.R_VW @ shafts.R_WF, np.zeros((len(steps), 3))
+    for part in parts:
+        own, w = (shafts.arm == part.of)[:, None], steps[:, part.at][:, :3, None]
+        if part.kind == CAMERA:
+            turned -= w[..., 0]
+        elif part.kind == BASE:
+            way = (shafts.R_VW @ w)[..., 0]
+            turned += -way if part.of == scope else way * own
+        elif part.kind == TOOL:
+            turned += (R_VF @ w)[..., 0] * own
+    return turned
+
+
+def _carried(p: FloatArray) -> FloatArray:
+    """(..., 3, 6) how points (..., 3) move with a pose about whose origin they are stated."""
+    x, y, z = np.moveaxis(p, -1, 0)
+    rows = np.zeros((*p.shape, 6))
+    rows[..., 0, 1], rows[..., 0, 2], rows[..., 1, 2] = z, -y, x
+    rows[..., 1, 0], rows[..., 2, 0], rows[..., 2, 1] = -z, y, -x
+    rows[..., 3:] = np.eye(3)
     return rows

@@ -33,11 +33,12 @@ class ShaftBreath:
         self.rate = 0.0
         """[Hz] The likeliest; 0: that nothing breathes is likelier than all rates together."""
 
-    def bends(self, A: FloatArray, stamp: float) -> FloatArray:
-        """Derivatives (m, 6 for each tool) by all bends, of those (m, P) by all steps."""
-        angle = 2.0 * np.pi * self.rate * stamp
-        waves = np.array([np.sin(angle), np.cos(angle)]) * (self.rate > 0.0)
-        return np.hstack([np.kron(waves, A[:, tool][:, 3:]) for tool in self._tools])
+    def bends(self, A: FloatArray, stamps: FloatArray) -> FloatArray:
+        """Derivatives (N, m, 6 for each tool) by all bends, of those (N, m, P) by all steps."""
+        angle = 2.0 * np.pi * self.rate * stamps[:, None, None]
+        waves = [wave * (self.rate > 0.0) for wave in (np.sin(angle), np.cos(angle))]
+        shifts = [A[..., tool][..., 3:] for tool in self._tools]
+        return np.concatenate([wave * shift for shift in shifts for wave in waves], axis=2)
 
     def heard(self, A: FloatArray, off: FloatArray, stamps: FloatArray) -> bool:
         """Whether another rate is likelier.

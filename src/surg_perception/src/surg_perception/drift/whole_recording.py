@@ -17,9 +17,10 @@ from surg_core.held_endoscope import HeldEndoscope
 from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray, rotation_of
 from surg_perception.calibration.small_motions import moved
-from surg_perception.drift.drift_evidence import PRIOR, Sighting
+from surg_perception.drift.drift_evidence import PRIOR
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.moving_parts import CAMERA, Part
+from surg_perception.drift.seen_shafts import Rows, SeenShaft, stacked
 
 ASIDE, SLOPE = 0.4, 0.1
 """[px] One sigma of what a shaft is seen aside, and of half the difference between both its places,
@@ -67,13 +68,14 @@ def find(
     """
     held: HeldEndoscope | None = None
     for _ in range(LOOKS):
-        sightings: list[Sighting] = []
+        sightings: list[SeenShaft] = []
         watch = DriftWatch(cell, lenses, parts, sightings.append, APART)
         watch.held = held = watch.held if held is None else replace(watch.held, X_FV=held.X_FV)
         look(watch)
         if len(sightings) < 2:
             raise ConfigError("nothing is seen since it moved. There is nothing to accept")
-        fit = _fit(sightings, part, parts)
+        rows = watch.rows.at(stacked(sightings), np.zeros(watch.rows.steps))
+        fit = _fit(rows, part, parts)
         step = fit.x[part.at]
         if part.kind == CAMERA:
             assert held.X_FV is not None
@@ -85,7 +87,7 @@ def find(
             cell = replace(cell, arms={**cell.arms, part.of: replace(arm, X_WB=pose)})
         if fit.shift < SETTLED:
             break
-    _check(fit, part, sightings)
+    _check(fit, part, rows, sightings)
     return Found(pose, fit.covariance[part.at, part.at], len(sightings))
 
 
@@ -110,9 +112,9 @@ class _Fit:
     gain: float
 
 
-def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _Fit:
+def _fit(rows: Rows, part: Part, parts: Sequence[Part]) -> _Fit:
     """Least squares with the calibration as prior; outliers count less."""
-    A, r, sd = _rows(sightings)
+    A, r, sd = _middle_and_slope(rows)
     prior = np.zeros((A.shape[1],) * 2)
     for each in parts:
         prior[each.at, each.at] = each.still + (each.moved if each is part else 0.0)
@@ -130,8 +132,7 @@ def _fit(sightings: Sequence[Sighting], part: Part, parts: Sequence[Part]) -> _F
             both[each.at, each.at] += each.moved
             gains[each.name] = _posterior(information, pull, both)[0] - evidence
     rival = max(gains, key=gains.__getitem__)
-    place = np.array([each.place[:, part.at] for each in sightings])
-    shift = float(np.sqrt(np.mean(np.sum((place @ x[part.at]) ** 2, axis=1))))
+    shift = float(np.sqrt(np.mean(np.sum((rows.place[..., part.at] @ x[part.at]) ** 2, axis=1))))
     misfit = float(np.median(off)) / 0.6745  # a normal one's median
     return _Fit(x, covariance, shift, misfit, rival, gains[rival])
 
@@ -147,17 +148,16 @@ def _posterior(
     return 0.5 * float(pull @ x - np.linalg.slogdet(S)[1]), x, covariance
 
 
-def _rows(sightings: Sequence[Sighting]) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _middle_and_slope(rows: Rows) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A (n, P), r (n,), sd (n,): middle and slope of each seen shaft.
 
     What both places of a shaft are off together leaves its slope as it is, which so tells a turn
     much better than a shift.
     """
-    A = np.concatenate([each.A for each in sightings])
-    r = np.concatenate([each.r for each in sightings])
-    sd = np.concatenate([each.sd for each in sightings])[::2] / np.sqrt(2.0)
+    seen = rows.A.any(axis=2).reshape(-1, 2).all(axis=1)
+    pairs, offsets = rows.A.reshape(len(seen), 2, -1)[seen], rows.r.reshape(-1, 2)[seen]
+    sd = rows.sd.reshape(-1, 2)[seen, 0] / np.sqrt(2.0)
     half = 0.5 * np.array([[1.0], [-1.0]])
-    pairs, offsets = A.reshape(len(sd), 2, -1), r.reshape(-1, 2)
     return (
         np.concatenate([pairs.mean(axis=1), (half * pairs).sum(axis=1)]),
         np.concatenate([offsets.mean(axis=1), (offsets @ half)[:, 0]]),
@@ -165,7 +165,7 @@ def _rows(sightings: Sequence[Sighting]) -> tuple[FloatArray, FloatArray, FloatA
     )
 
 
-def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
+def _check(fit: _Fit, part: Part, rows: Rows, sightings: Sequence[SeenShaft]) -> None:
     if fit.misfit > MISFIT:
         raise ConfigError(
             f"{part.name}: no single step explains all that was seen since (typical residual "
@@ -177,8 +177,8 @@ def _check(fit: _Fit, part: Part, sightings: Sequence[Sighting]) -> None:
             "Turn the endoscope, and record anew"
         )
     C = fit.covariance
-    place = np.array([each.place for each in sightings])
-    shift = float(np.sqrt(np.mean(np.einsum("nij,jk,nik->n", place, C, place))))
+    spread = np.einsum("nij,jk,nik->n", rows.place, C, rows.place)
+    shift = float(np.sqrt(np.mean(spread)))
     turn = float(np.sqrt(np.trace(C[part.at, part.at][:3, :3])))
     short = max(shift / SHIFT, turn / TURN)
     if short <= 1.0:
