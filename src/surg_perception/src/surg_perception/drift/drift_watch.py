@@ -130,7 +130,7 @@ class DriftWatch:
             return None
         X_WF = np.asarray(arm.X_WB @ np.asarray(arm.chain.forward(q)))
         X_VW = inverse_pose(self.held.poses(q_scope[None])[0])
-        p_TipP_F = -np.array(SHAFT)[:, None] * np.asarray(arm.tool.s_F)
+        p_TipP_F = np.outer(SHAFT, -np.asarray(arm.tool.s_F))
         p_W = (np.asarray(arm.tool.p_FTip) + p_TipP_F) @ X_WF[:3, :3].T + X_WF[:3, 3]
         p_V = p_W @ X_VW[:3, :3].T + X_VW[:3, 3]
         return SeenShaft(

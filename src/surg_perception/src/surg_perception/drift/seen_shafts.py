@@ -170,13 +170,14 @@ class ShaftRows:
         up, down = (np.einsum("nc,nc->n", along, q[:, :2])[:, None] - t * q[:, 2:] for q in (a, b))
         u = _before_the_eye(-up / down, a[:, 2:], b[:, 2:])[..., None]
         q = a[:, None] + u * b[:, None]
-        by_point, per_pixel = view.slopes((1.0 - u) * there_V[:, :1] + u * there_V[:, 1:])
+        p_V = there_V[:, :1] + u * (there_V[:, 1:] - there_V[:, :1])
+        by_point, per_pixel = view.slopes(p_V)
         n_pixel = np.einsum("nc,nkcd->nkd", normal, per_pixel)  # noise is of the picture
         size = np.linalg.norm(n_pixel, axis=-1)
         r = np.einsum("nc,nkc->nk", normal, m - q[..., :2] / q[..., 2:]) / size
         n_pixel /= size[..., None]
         by_place = np.einsum("nkd,nkds->nks", n_pixel, by_point)
-        between = (1.0 - u)[..., None] * slope[:, :1] + u[..., None] * slope[:, 1:]
+        between = slope[:, :1] + u[..., None] * (slope[:, 1:] - slope[:, :1])
         A = np.einsum("nks,nksp->nkp", by_place, between)
         A[..., self._of_eye[EYES[eye]]] = n_pixel
         return A, r
