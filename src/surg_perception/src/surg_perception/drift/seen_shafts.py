@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surg_core.lens_file import Lens
 from surg_core.pictures.eye_projection import EyeProjection
@@ -132,15 +133,12 @@ class ShaftRows:
         D, there_V, slope = self._stepped(shafts, steps)
         z = shafts.p_V[..., 2]
         thrown = (there_V[..., 2] < NEAREST * z).any(axis=1)
-        for eye in range(len(self.eyes)):
-            seen = np.isfinite(shafts.pixels[:, eye]).all(axis=(1, 2))
-            thrown |= seen & ~np.isfinite(self._plane(shafts, eye, steps)).all(axis=(1, 2))
-        shafts.pixels[thrown] = np.nan
+        planes = [self._plane(shafts, eye, steps) for eye in range(len(self.eyes))]
+        for eye, m in enumerate(planes):
+            thrown |= np.isfinite(shafts.pixels[:, eye]).any(axis=(1, 2)) & ~_whole(m)
         A, r, sd = np.zeros((N, 4, self.steps)), np.zeros((N, 4)), np.ones((N, 4))
-        for eye in range(len(self.eyes)):
-            m = self._plane(shafts, eye, steps)
-            seen = np.isfinite(m).all(axis=(1, 2))
-            rows = slice(2 * eye, 2 * eye + 2)
+        for eye, m in enumerate(planes):
+            seen, rows = _whole(m) & ~thrown, slice(2 * eye, 2 * eye + 2)
             found = self._of_points(eye, m[seen], slope[seen], there_V[seen])
             A[seen, rows] = found[0]
             r[seen, rows] = found[1] + np.einsum("nkp,np->nk", found[0], steps[seen])
@@ -185,8 +183,7 @@ class ShaftRows:
     def _plane(self, shafts: Shafts, eye: int, steps: FloatArray) -> FloatArray:
         """(N, 2, 2) the seen points in the plane z = 1, the lens moved back by its steps (N, P)."""
         pixels = shafts.pixels[:, eye] - steps[:, None, self._of_eye[EYES[eye]]]
-        seen = np.isfinite(pixels).all(axis=(1, 2))
-        m = np.full(pixels.shape, np.nan)
+        seen, m = _whole(pixels), np.full(pixels.shape, np.nan)
         m[seen] = self.eyes[eye].plane_of(pixels[seen].reshape(-1, 2)).reshape(-1, 2, 2)
         return m
 
@@ -232,6 +229,11 @@ class ShaftRows:
         s_V = shafts.p_V[:, 1] - shafts.p_V[:, 0]
         s_V /= np.linalg.norm(s_V, axis=1)[:, None]
         return np.asarray(place - s_V[:, :, None] * np.einsum("ns,nsp->np", s_V, place)[:, None])
+
+
+def _whole(points: FloatArray) -> NDArray[np.bool_]:
+    """(N,) whether all of (N, 2, 2) are numbers."""
+    return np.asarray(np.isfinite(points).all(axis=(1, 2)))
 
 
 def _before_the_eye(u: FloatArray, z: FloatArray, dz: FloatArray) -> FloatArray:
