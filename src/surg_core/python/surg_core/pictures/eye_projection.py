@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surg_core import inverse_pose
 from surg_core.lens_file import Lens
@@ -34,12 +35,15 @@ class EyeProjection:
 
     def pixels(self, p_V: FloatArray) -> FloatArray:
         """Pixels (n, 2) of points (n, 3) before the left eye [m]; NaN: the eye cannot see them."""
-        p = self.before(p_V)
-        before = p[:, 2] > NEAREST
-        before[before] &= np.hypot(*p[before, :2].T) < self._widest * p[before, 2]
-        found = np.full((len(p), 2), np.nan)
-        found[before] = self._model.project(p[before])
+        seen, found = self.sees(p_V), np.full((len(p_V), 2), np.nan)
+        found[seen] = self._model.project(self.before(p_V[seen]))
         return found
+
+    def sees(self, p_V: FloatArray) -> NDArray[np.bool_]:
+        """(...) whether points (..., 3) before the left eye are where the lens's formula holds."""
+        p = self.before(p_V)
+        wide = np.hypot(p[..., 0], p[..., 1]) < self._widest * p[..., 2]
+        return np.asarray(wide & (p[..., 2] > NEAREST))
 
     def derivative(self, p_V: FloatArray) -> FloatArray:
         """(..., 2, 3) of pixels by points (..., 3) before the left eye [px/m]."""

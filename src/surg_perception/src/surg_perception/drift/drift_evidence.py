@@ -43,12 +43,12 @@ STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
 """How much of what it may a part moved by, each as probable: a bump is small or large."""
+WILD = 10.0
+"""Steps so many times as large as what a part may move by are no bump: its fit begins anew."""
 NEWEST = LENGTHS[0]
 """Sightings for which it is stated how far instruments are beside their place."""
 DRAWS = 200
 """Draws of the steps for its interval."""
-CURVED = 0.05
-"""One sigma of what derivatives leave out of a shift, as a share of it."""
 UNLIKELY = 1e-3
 """Probability of a hypothesis below which it does not count there."""
 STILL_LIKELY = 0.5
@@ -135,7 +135,7 @@ class DriftEvidence:
         self._at = np.zeros((len(self.parts), rows.steps))
         self._judged_at = -np.inf
         self._verdict: Verdict | None = None
-        self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 2))
+        self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 1))
 
     def add(self, sighting: SeenShaft) -> Verdict | None:
         """Take in the newest sighting; returns the newest judgement, None: too few sightings."""
@@ -220,7 +220,9 @@ class DriftEvidence:
             self._breathe(fits.x[(times - 1) * kinds])
         explained = max(misfit, float(np.median(fits.chi[0, -NEWEST:]))) < MISFIT
         steady = probabilities[NOTHING] > STILL_LIKELY and explained
-        self._at = (fits.x[likeliest] * self._unit)[:, : self._rows.steps] * (not steady)
+        at = fits.x[likeliest]
+        at[np.abs(at).max(axis=1) > WILD] = 0.0
+        self._at = (at * self._unit)[:, : self._rows.steps] * (not steady)
         return Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
@@ -269,15 +271,13 @@ class DriftEvidence:
         """Quantiles of the root mean square of the newest shifts, over all hypotheses [m]."""
         pixel = float(self._kept[-1].p_V[0, 2]) / self._rows.focal
         bias = np.sqrt(self._noise) * pixel * self._draws[:, -1]
-        curved = 1.0 + CURVED * self._draws[:, -2]
         drawn, weights = [], []
         for number in np.flatnonzero(p > UNLIKELY):
             place = places[number % len(places)]
             spread, axes = np.linalg.eigh(place @ fits.covariance[number] @ place.T)
             half = axes * np.sqrt(np.maximum(spread, 0.0))
             shift = place @ fits.x[number] + self._draws[:, : len(half)] @ half.T
-            rms = np.linalg.norm(shift, axis=1) * curved
-            drawn.append(np.abs(rms + bias))
+            drawn.append(np.abs(np.linalg.norm(shift, axis=1) + bias))
             weights.append(np.full(DRAWS, p[number]))
         values, weight = np.concatenate(drawn), np.concatenate(weights)
         order = np.argsort(values)

@@ -125,8 +125,8 @@ class ShaftRows:
     def at(self, shafts: Shafts, x: FloatArray) -> Rows:
         """Residuals, and derivatives that hold at the steps x (P,).
 
-        A shaft that such steps throw into the lens, or where the lens was not measured, they do not
-        explain: it is `THROWN` beside its place whatever the steps.
+        A shaft that such steps throw into the lens, or out of the view, they do not explain: it is
+        `THROWN` beside its place whatever the steps.
         """
         N = len(shafts.stamp)
         steps = np.tile(x, (N, 1))
@@ -139,11 +139,12 @@ class ShaftRows:
         A, r, sd = np.zeros((N, 4, self.steps)), np.zeros((N, 4)), np.ones((N, 4))
         for eye, m in enumerate(planes):
             seen, rows = _whole(m) & ~thrown, slice(2 * eye, 2 * eye + 2)
-            found = self._of_points(eye, m[seen], slope[seen], there_V[seen])
-            A[seen, rows] = found[0]
-            r[seen, rows] = found[1] + np.einsum("nkp,np->nk", found[0], steps[seen])
+            by_steps, beside, in_view = self._of_points(eye, m[seen], slope[seen], there_V[seen])
+            A[seen, rows] = by_steps
+            r[seen, rows] = beside + np.einsum("nkp,np->nk", by_steps, steps[seen])
             sd[seen, rows] = shafts.sd[seen, eye, None]
-        r[thrown] = THROWN
+            thrown[seen] |= ~in_view
+        A[thrown], r[thrown] = 0.0, THROWN
         return Rows(A, r, sd, self._place(shafts, D))
 
     def moved(self, shafts: Shafts, x: FloatArray) -> FloatArray:
@@ -156,8 +157,11 @@ class ShaftRows:
 
     def _of_points(
         self, eye: int, m: FloatArray, slope: FloatArray, there_V: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives (n, 2, P) and residuals (n, 2) of two points (n, 2, 2) of the plane z = 1."""
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """Derivatives (n, 2, P) and residuals (n, 2) of two points (n, 2, 2) of the plane z = 1.
+
+        And (n,) whether the shaft then lies in the view.
+        """
         view = self.eyes[eye]
         ends = view.plane(there_V)
         along = ends[:, 1] - ends[:, 0]
@@ -178,7 +182,7 @@ class ShaftRows:
         between = slope[:, :1] + u[..., None] * (slope[:, 1:] - slope[:, :1])
         A = np.einsum("nks,nksp->nkp", by_place, between)
         A[..., self._of_eye[EYES[eye]]] = n_pixel
-        return A, r
+        return A, r, view.sees(p_V).all(axis=1)
 
     def _plane(self, shafts: Shafts, eye: int, steps: FloatArray) -> FloatArray:
         """(N, 2, 2) the seen points in the plane z = 1, the lens moved back by its steps (N, P)."""
