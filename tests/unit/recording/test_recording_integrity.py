@@ -136,16 +136,6 @@ def test_a_recording_without_hashes_is_read_and_said(folder: Path) -> None:
     assert count == 1 and "recorded without hashes" in warning
 
 
-def test_an_edit_that_a_manifest_of_before_declares_is_named(folder: Path) -> None:
-    stated = json.loads((folder / "manifest.json").read_text())
-    note = {"at": "2026-11-01T10:00:00Z", "by": "A. Nurse", "why": "encoder slipped", "files": {}}
-    (folder / "manifest.json").write_text(json.dumps({**stated, "amendments": [note]}))
-    (entry,), left_out = measured(folder)
-    assert left_out == [] and "declared by A. Nurse" in entry["remarks"][0]
-    count, refused, (warning,) = exported(folder)
-    assert (count, refused) == (1, []) and "encoder slipped" in warning
-
-
 def test_every_metric_says_of_how_many_episodes_it_is(tmp_path: Path) -> None:
     """Three episodes, and one without the simulator's truth: its box holds two."""
     made = [
