@@ -4,7 +4,6 @@ import argparse
 import json
 import os
 import re
-import socket
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -252,15 +251,6 @@ def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CliError, match="not an empty folder"):
         paths.run_folder(tmp_path)
     assert paths.run_folder(tmp_path / "new") == tmp_path / "new"
-
-
-def test_a_taken_port_is_said_with_the_cure(tmp_path: Path) -> None:
-    with socket.socket() as holder, Supervisor(dict(os.environ), tmp_path) as supervisor:
-        holder.bind(("127.0.0.1", 0))
-        holder.listen()
-        port = holder.getsockname()[1]
-        with pytest.raises(CliError, match="choose another with --port"):
-            master.start(supervisor, port)
 
 
 def test_a_dead_master_is_said_with_the_cure() -> None:

@@ -175,15 +175,6 @@ def test_kill_9_loses_at_most_50_ms_of_rows(tmp_path: Path, full: bool) -> None:
     assert worst <= 50.0
 
 
-def test_a_cut_line_is_removed(tmp_path: Path) -> None:
-    path = tmp_path / "t.csv"
-    for tail in ("", "1", "1,2.5,abc", '1,2,"a', "x" * 100_000):
-        path.write_text("stamp_ns,x,text,y\n7,1.0,a,2.0\n" + tail)
-        assert path.stat().st_size - finishing.whole_lines(path) == len(tail)
-        os.truncate(path, finishing.whole_lines(path))
-        assert table_file.read_table(path)["stamp_ns"].tolist() == [7]
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

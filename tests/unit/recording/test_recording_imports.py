@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Header
 
+from helpers.foreign.foreign_sources import HZ, START_NS, tip
 from helpers.recording import datasets_synthetic, picture_identity
 from helpers.recording.picture_identity import Identity
 from surg_cli.commands.episode import import_recordings
@@ -32,12 +32,7 @@ from surg_recording.reports import evaluation
 from surg_recording.reports.run_summary import PATH_CUTOFF_HZ
 from surg_recording.video import video_file
 
-HZ, SAMPLES, START_NS = 100, 400, 1_700_000_000_000_000_000
-
-
-def tip(t: float) -> list[float]:
-    """Of a dVRK PSM: its base is the trocar, z out of the patient [m]."""
-    return [0.02 * math.sin(2 * t), 0.015 * math.sin(3 * t + 1), -0.11 - 0.01 * math.cos(t)]
+SAMPLES = 400
 
 
 def dvrk_bag(path: Path, prefix: str = "/PSM1") -> Path:

@@ -48,7 +48,6 @@ def noise(seed: int, channels: int, count: int = 5) -> list[np.ndarray]:
 def test_lossless_means_every_pixel(tmp_path: Path, encoding: str, order: list[int] | None) -> None:
     images = noise(3, 1 if order is None else 4 if encoding == "rgba8" else 3)
     sink = written(tmp_path, encoding, images, quality="lossless")
-    assert sink.exact
     read = video_file.grab(sink.path, list(range(len(images))))
     for image, back in zip(images, read, strict=True):
         given = np.repeat(image[..., None], 3, axis=2) if order is None else image[..., order]
@@ -80,7 +79,6 @@ def test_measured_values_come_back_as_they_were(tmp_path: Path, encoding: str) -
     else:
         images = [rng.integers(0, 65536, (HEIGHT, WIDTH)).astype("<u2") for _ in range(4)]
     sink = written(tmp_path, encoding, images)
-    assert sink.exact  # whatever the quality of pictures
     read = list(exact_values.read(sink.path))
     assert [back.tobytes() for back in read] == [image.tobytes() for image in images]
     assert {back.dtype for back in read} == {images[0].dtype}

@@ -54,7 +54,7 @@ class Candidate:
     """The exported segment of a recording whose clock was set; None: all of it."""
     verdict: Verdict = NOT_JUDGED
     remarks: tuple[str, ...] = ()
-    """What a reader should be told: no hashes, declared edits, verdicts that disagree."""
+    """What a reader should be told: no hashes, verdicts that disagree."""
 
 
 def mixture(candidates: Sequence[Candidate]) -> dict[str, str]:

@@ -89,11 +89,6 @@ class Episode:
         return list(self.manifest.get("segments") or [])
 
     @property
-    def amendments(self) -> list[dict[str, Any]]:
-        """Edits declared after the recording: ``at``, ``by``, ``why``, ``files``."""
-        return list(self.manifest.get("amendments") or [])
-
-    @property
     def warnings(self) -> list[str]:
         """Warnings of the recorder."""
         return list(self.manifest.get("warnings") or [])

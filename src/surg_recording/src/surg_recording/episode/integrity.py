@@ -76,13 +76,7 @@ def changes(recorded: Episode) -> list[str]:
 
 
 def remarks(recorded: Episode) -> list[str]:
-    """What a reader should be told of an episode: no hashes, and declared edits."""
-    told = []
-    if any(stated is None for stated in files(recorded.folder, recorded.manifest).values()):
-        told.append("recorded without hashes: an edit of a value cannot be noticed")
-    for each in recorded.amendments:
-        names = ", ".join(each["files"]) if isinstance(each.get("files"), dict) else "?"
-        told.append(
-            f"{names}: edited, declared by {each.get('by')} on {each.get('at')}: {each.get('why')}"
-        )
-    return told
+    """What a reader should be told of an episode: no hashes."""
+    if None in files(recorded.folder, recorded.manifest).values():
+        return ["recorded without hashes: an edit of a value cannot be noticed"]
+    return []

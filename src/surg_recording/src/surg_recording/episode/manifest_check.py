@@ -50,7 +50,7 @@ _TOP: dict[str, Kind] = {
     **dict.fromkeys(("arms", "cameras", "warnings"), _TEXTS),
     **dict.fromkeys(("run", "sim", "result", "cell", "versions", "topics"), _OBJECT),
     "camera_info": _OBJECT,
-    **dict.fromkeys(("stages", "segments", "amendments"), _OBJECTS),
+    **dict.fromkeys(("stages", "segments"), _OBJECTS),
     **dict.fromkeys(("task", "setting", "operator", "seed"), _SCALAR),
     "tags": _TAGS,
 }
@@ -77,7 +77,6 @@ _ITEMS: dict[str, dict[str, Kind]] = {
         **dict.fromkeys(("begin_ns", "step_ns"), _INTEGER),
         **dict.fromkeys(("rows", "frames"), _OBJECT),
     },
-    "amendments": {"files": _OBJECT},
 }
 """Keys of the objects in a list."""
 _FILE: dict[str, Kind] = {

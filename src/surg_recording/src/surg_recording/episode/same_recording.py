@@ -51,19 +51,15 @@ def fingerprints(recorded: Episode) -> Mapping[tuple[str, str], str]:
 
 
 def identity(recorded: Episode) -> str:
-    """A hash that all copies of a recording share, also labelled or amended ones.
+    """A hash that all copies of a recording share, also labelled ones.
 
     Of the simulation's states; without them of what the manifest says was recorded.
     """
     manifest = recorded.as_recorded
     state = (manifest.get("sim") or {}).get("state_hash")
-    edits = [edit.get("files") or {} for edit in reversed(recorded.amendments)]
     words = [str(state)] if state else []
     for name, entry in sorted(manifest["tables"].items()) if not state else ():
-        first = entry.get(HASH)
-        for files in edits:
-            first = (files.get(f"{name}.csv") or {}).get("before", first)
-        words.append(f"{name} {first} {entry.get('rows')} {entry.get('first_stamp_ns')}")
+        words.append(f"{name} {entry.get(HASH)} {entry.get('rows')} {entry.get('first_stamp_ns')}")
     return hashlib.sha256("\n".join(words).encode()).hexdigest()
 
 

@@ -52,11 +52,6 @@ class Rule:
     first_ns: int | None
 
 
-def count(episode: Episode) -> int:
-    """Number of cycles of all arms that break a rule, summed over the rules."""
-    return sum(rule.cycles for arm in episode.arms for rule in examine(episode, arm))
-
-
 def examine(episode: Episode, arm: str) -> list[Rule]:
     """Compare an arm's cycles with the manifest's limits; an EpisodeError if either is missing."""
     limits = _Limits(episode, arm)

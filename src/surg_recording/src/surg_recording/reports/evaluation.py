@@ -166,7 +166,7 @@ def measure_all(
 
 
 def remarks(entries: Iterable[Mapping[str, Any]]) -> list[str]:
-    """What a reader should be told: verdicts that disagree, declared edits, no hashes."""
+    """What a reader should be told: verdicts that disagree, no hashes."""
     told: dict[str, list[str]] = {}
     for entry in entries:
         found = list(entry.get("remarks") or [])

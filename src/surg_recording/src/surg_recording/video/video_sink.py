@@ -109,13 +109,6 @@ class VideoSink:
         return self._ready.wait(timeout_s)
 
     @property
-    def exact(self) -> bool:
-        """Whether every value comes back as it was."""
-        pixels = video_encoder.ENCODINGS.get(self.encoding)
-        lossless = self.quality == video_encoder.LOSSLESS
-        return lossless or (pixels is not None and pixels.codec == "png")
-
-    @property
     def pid(self) -> int:
         """Process id of the encoder."""
         return self._process.pid
