@@ -1,4 +1,4 @@
-"""Publishes the state of a tick: clock, links, task, ground truth, snapshot, joint states."""
+"""Publishes the state of a tick: clock, task, links, joint states, ground truth, snapshot."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ from surg_sim.physics.world import World
 
 _STATUS_TICKS = 10
 """50 Hz."""
+
+Message = tuple[BytesPublisher, bytes]
+"""What is to be sent."""
 
 
 class StatePublisher:
@@ -64,10 +67,22 @@ class StatePublisher:
         self.stamp_ns = stamp_ns
         if self._clock.connections:
             self._clock.send(struct.pack("<2I", *divmod(stamp_ns, SECOND_NS)))
-        for arm in self._arms:
-            self._publish_links(arm, tick, stamp_ns)
+        links = [message for arm in self._arms for message in self._links(arm, tick, stamp_ns)]
         if self._task is not None:
             self._task.publish(tick, stamp_ns)
+        if self._tracker is not None:
+            names, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
+            self._tracker.publish(Ready(tick=tick, participant=self._name, arms=names, sent=sent))
+        if self._flanges is not None:
+            self._flanges.publish(tick, stamp_ns)
+        # The joint states go last: their arrival starts the controller's work. All leave together,
+        # so that a controller wakes once.
+        for arm in self._arms:
+            for stamp, state in self._injector.states(arm.name, stamp_ns):
+                links.append((arm.state, arm.layout.pack(tick, stamp, state.q, state.qd)))
+        for publisher, data in links:
+            publisher.send(data)
+        # Observers' messages are made while the controllers work.
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
@@ -76,34 +91,25 @@ class StatePublisher:
             snapshot = SimSnapshot(tick=tick, seed=seed, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
             self._snapshot.publish(snapshot)
-        if self._tracker is not None:
-            names, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
-            self._tracker.publish(Ready(tick=tick, participant=self._name, arms=names, sent=sent))
-        if self._flanges is not None:
-            self._flanges.publish(tick, stamp_ns)
-        # The joint states go last: their arrival starts the controller's work.
-        for arm in self._arms:
-            for stamp, state in self._injector.states(arm.name, stamp_ns):
-                arm.state.send(arm.layout.pack(tick, stamp, state.q, state.qd))
 
-    def _publish_links(self, arm: ArmTopics, tick: int, stamp_ns: int) -> None:
+    def _links(self, arm: ArmTopics, tick: int, stamp_ns: int) -> list[Message]:
         """Jaw, link status and trocar track of one arm."""
-        injector, link = self._injector, self._world.link(arm.name)
+        injector, messages = self._injector, list[Message]()
         tool = injector.tool(arm.name) if tick % arm.tool_ticks == 0 else None
         if tool is not None:
-            arm.tool.send(arm.tool_layout.pack(tick, stamp_ns, *tool))
+            messages.append((arm.tool, arm.tool_layout.pack(tick, stamp_ns, *tool)))
         if arm.status.connections and injector.speaks(arm.name):
-            self._publish_status(arm, link, tick, stamp_ns)
+            messages += self._status(arm, self._world.link(arm.name), tick, stamp_ns)
         observation = None if arm.track is None else injector.track(arm.name, arm.stale)
         if arm.track is not None and observation is not None:
             observed_tick, *motion = observation
             observed_ns = stamp_ns - (tick - observed_tick) * TICK_NS
             arm.tracked += 1
-            arm.track.send(
-                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, *motion)
-            )
+            packed = bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, *motion)
+            messages.append((arm.track, packed))
+        return messages
 
-    def _publish_status(self, arm: ArmTopics, link: ArmLink, tick: int, stamp_ns: int) -> None:
+    def _status(self, arm: ArmTopics, link: ArmLink, tick: int, stamp_ns: int) -> list[Message]:
         """The link's status: in lock-step part of every tick, else on change and at 50 Hz."""
         condition, scaling = self._injector.robot(arm.name)
         says = link_messages.LinkSays(
@@ -118,9 +124,9 @@ class StatePublisher:
         if not self._lockstep:
             unchanged = replace(says, last_command_ns=0)
             if tick % _STATUS_TICKS != 0 and unchanged == arm.said:
-                return
+                return []
             arm.said = unchanged
-        arm.status.send(says.pack(stamp_ns, tick))
+        return [(arm.status, says.pack(stamp_ns, tick))]
 
     def unconnected(
         self, observers: Sequence[str], ready: set[str], controllers: Mapping[str, set[str]]
