@@ -5,7 +5,6 @@
 #include <stdexcept>
 
 #include "support/quintic_oracle.hpp"
-#include "support/stop_oracle.hpp"
 #include "support/test_support.hpp"
 #include "surg_core/motion/profiler.hpp"
 
@@ -32,32 +31,23 @@ Kinematic keepable_state(Random& random, const DofLimits& limits) {
   return s;
 }
 
-using Bounds = Profiler::Bounds;
-
 /// The largest excess of a family over its limits, and how its members were planned.
 struct Tally {
-  long cases = 0, violations[4] = {0, 0, 0, 0};     // position, velocity, acceleration, jerk
-  double position = -INFINITY;                      // beyond the hull [m] or [rad]
+  long cases = 0, violations[3] = {0, 0, 0};        // velocity, acceleration, jerk
   double velocity = 0, acceleration = 0, jerk = 0;  // against what is allowed
-  long quintic = 0, eased = 0, stopped = 0, refused = 0;
+  long quintic = 0, eased = 0, stopped = 0;
 
-  void note(double outside, double v, double a, double j) {
-    position = std::max(position, outside);
+  void note(double v, double a, double j) {
     velocity = std::max(velocity, v);
     acceleration = std::max(acceleration, a);
     jerk = std::max(jerk, j);
     const double rounding = 1 + 1e-9;
-    violations[0] += outside > 1e-9;
-    violations[1] += v > rounding;
-    violations[2] += a > rounding;
-    violations[3] += j > rounding;
+    violations[0] += v > rounding;
+    violations[1] += a > rounding;
+    violations[2] += j > rounding;
   }
-  long sum() const { return violations[0] + violations[1] + violations[2] + violations[3]; }
+  long sum() const { return violations[0] + violations[1] + violations[2]; }
 };
-
-double outside(const Interval& range, const Interval& hull) {
-  return std::max(hull.least - range.least, range.greatest - hull.greatest);
-}
 
 double eased_velocity(const Kinematic& s, const DofLimits& limits) {
   return s.v + 0.5 * s.a * std::abs(s.a) / limits.jerk;
@@ -65,24 +55,19 @@ double eased_velocity(const Kinematic& s, const DofLimits& limits) {
 
 /// Looks at a plan from every side: each quintic through the oracle, the braking by 100 samples,
 /// and the whole as it is played by 40.
-void examine(const Profiler& planned, const Dofs& from, const Targets& target, const Bounds& bounds,
-             Tally& tally) {
+void examine(const Profiler& planned, const Dofs& from, const Targets& target, Tally& tally) {
   const double brake = planned.brake_duration(), total = planned.duration();
   Profiler player = planned;
   player.advance(brake);
   const Dofs start = player.state();
   for (int i = 0; i < Profiler::kDof; ++i) {
     const DofLimits& limits = kLimits[i];
-    Interval hull = bounds[i];
-    hull.include(from[i].x);
-    hull.include(target[i]);
     // What the start itself makes unavoidable is allowed.
     const double V =
         std::max({limits.velocity, std::abs(from[i].v), std::abs(eased_velocity(from[i], limits))});
     const double A = std::max(limits.acceleration, std::abs(from[i].a));
     const test::QuinticOracle oracle(brake > 0 ? start[i] : from[i], target[i], total - brake);
     const test::Extremes q = oracle.extremes();
-    Interval position = q.position;
     Kinematic last = from[i];
     double v = q.velocity, a = q.acceleration, j = q.jerk;
     for (int k = 1; k <= 100 && brake > 0; ++k) {
@@ -92,7 +77,6 @@ void examine(const Profiler& planned, const Dofs& from, const Targets& target, c
       v = std::max(v, std::abs(now.v));
       a = std::max(a, std::abs(now.a));
       j = std::max(j, std::abs(now.a - last.a) / (brake / 100) * (1 - 1e-9));
-      position.include(now.x);
       last = now;
     }
     if (brake > 0) {  // the quintic goes on where the braking ends
@@ -100,7 +84,7 @@ void examine(const Profiler& planned, const Dofs& from, const Targets& target, c
       ASSERT_NEAR(start[i].v, last.v, 1e-9);
       ASSERT_NEAR(start[i].a, last.a, 1e-9);
     }
-    tally.note(outside(position, hull), v / V, a / A, j / limits.jerk);
+    tally.note(v / V, a / A, j / limits.jerk);
     Profiler at = planned;
     at.advance(brake);
     for (int k = 1; k <= 40; ++k) {
@@ -123,10 +107,10 @@ void examine(const Profiler& planned, const Dofs& from, const Targets& target, c
 
 void print(const char* family, const Tally& t) {
   std::printf(
-      "%s: %ld cases, %ld refused; beyond x %ld, v %ld, a %ld, jerk %ld; largest share of v "
+      "%s: %ld cases; beyond v %ld, a %ld, jerk %ld; largest share of v "
       "%.9f, a %.9f, jerk %.9f; %ld quintic, %ld eased first, %ld stopped first\n",
-      family, t.cases + t.refused, t.refused, t.violations[0], t.violations[1], t.violations[2],
-      t.violations[3], t.velocity, t.acceleration, t.jerk, t.quintic, t.eased, t.stopped);
+      family, t.cases, t.violations[0], t.violations[1], t.violations[2], t.velocity,
+      t.acceleration, t.jerk, t.quintic, t.eased, t.stopped);
 }
 
 void random_move(Random& random, Dofs& from, Targets& target) {
@@ -134,22 +118,6 @@ void random_move(Random& random, Dofs& from, Targets& target) {
     from[i] = keepable_state(random, kLimits[i]);
     target[i] = from[i].x + random.uniform(-1, 1) * random.magnitude(1e-4, 0.3);
   }
-}
-
-/// Walls a little beyond what a stop needs, nine times out of ten; anywhere beyond start and
-/// target, or with the start outside of them, otherwise. Some sides are free.
-Bounds random_bounds(Random& random, const Dofs& from, const Targets& target) {
-  Bounds bounds;
-  const bool fair = random.integer(0, 9) > 0;
-  for (int i = 0; i < 4; ++i) {
-    const Braking stop = Braking::stop(from[i], kLimits[i]);
-    Interval room = fair ? stop.range(0, stop.duration()) : Interval{from[i].x, from[i].x};
-    room.include(target[i]);
-    const double sign = !fair && random.integer(0, 3) == 0 ? -1 : 1;
-    if (random.integer(0, 3)) bounds[i].least = room.least - sign * random.magnitude(1e-5, 0.1);
-    if (random.integer(0, 3)) bounds[i].greatest = room.greatest + random.magnitude(1e-5, 0.1);
-  }
-  return bounds;
 }
 
 TEST(Profiler, KeepsItsLimitsFromAnyStateThatCan) {
@@ -163,46 +131,12 @@ TEST(Profiler, KeepsItsLimitsFromAnyStateThatCan) {
     random_move(random, from, target);
     profiler.reset(from);
     ASSERT_TRUE(profiler.plan(target)) << "family member " << k;
-    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, Bounds{}, tally)) << "member " << k;
+    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, tally)) << "member " << k;
     ASSERT_LT(profiler.duration(), 12);
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("random states", count);
   print("in motion", tally);
-}
-
-TEST(Profiler, KeepsPositionBoundsWhereverAStopCan) {
-  Random random(6);
-  const int count = test::family(1500, 120000);
-  Profiler profiler(kLimits, 0.5);
-  Tally tally;
-  for (int k = 0; k < count; ++k) {
-    Dofs from;
-    Targets target;
-    random_move(random, from, target);
-    const Bounds bounds = random_bounds(random, from, target);
-    profiler.reset(from);
-    if (profiler.plan(target, bounds)) {
-      ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, bounds, tally)) << "member " << k;
-      continue;
-    }
-    ++tally.refused;
-    double least_outside = -INFINITY;
-    for (int i = 0; i < 4; ++i) {
-      Interval hull = bounds[i];
-      hull.include(from[i].x);
-      hull.include(target[i]);
-      Interval range = test::stop_by_feedback(from[i], kLimits[i], 1e-5).range;
-      range.least += from[i].x;
-      range.greatest += from[i].x;
-      least_outside = std::max(least_outside, outside(range, hull));
-    }
-    ASSERT_GT(least_outside, -1e-5) << "member " << k << " could have stopped inside";
-  }
-  EXPECT_EQ(tally.sum(), 0);
-  EXPECT_GT(tally.stopped, count / 100);
-  test::report("random states between walls", count);
-  print("in motion, position bounds", tally);
 }
 
 TEST(Profiler, ReturnsFromBeyondItsLimitsAsDirectlyAsItMay) {
@@ -220,7 +154,7 @@ TEST(Profiler, ReturnsFromBeyondItsLimitsAsDirectlyAsItMay) {
       from[beyond].v = kLimits[beyond].velocity * random.uniform(-2, 2);
     profiler.reset(from);
     profiler.plan(target);
-    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, Bounds{}, tally)) << "member " << k;
+    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, tally)) << "member " << k;
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("random states beyond a limit", count);
@@ -256,27 +190,25 @@ TEST(Profiler, StateIsContinuousAndConsistent) {
   test::report("random profiles", count);
 }
 
-TEST(Profiler, ChangesOfMindKeepLimitsAndBounds) {
+TEST(Profiler, ChangesOfMindKeepTheLimits) {
   Random random(3);
   const int count = test::family(300, 40000);
   Profiler profiler(kLimits, 0.5);
   profiler.reset(Targets{0, 0, 0, 0});
-  Bounds box;
-  for (Interval& interval : box) interval = {-0.16, 0.16};
   Tally tally;
   for (int k = 0; k < count; ++k) {
     Targets target;
     for (double& x : target) x = random.uniform(-0.15, 0.15);
     const Dofs from = profiler.state();
-    // A plan whose stop fits is always followed by one: the state on the way is never a trap.
-    ASSERT_TRUE(profiler.plan(target, box)) << "family member " << k;
-    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, box, tally)) << "member " << k;
+    // A plan is always followed by one: the state on the way is never a trap.
+    ASSERT_TRUE(profiler.plan(target)) << "family member " << k;
+    ASSERT_NO_FATAL_FAILURE(examine(profiler, from, target, tally)) << "member " << k;
     const int steps = random.integer(1, 400);
     for (int n = 0; n < steps; ++n) profiler.advance(0.002);
   }
   EXPECT_EQ(tally.sum(), 0);
   test::report("changes of mind", count);
-  print("changes of mind on the way, position bounds", tally);
+  print("changes of mind on the way", tally);
 }
 
 TEST(Profiler, RestToRestTakesTheLeastDuration) {

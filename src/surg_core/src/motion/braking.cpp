@@ -11,16 +11,6 @@ Kinematic with_jerk(const Kinematic& from, double jerk, double t) {
           from.v + t * (from.a + t * jerk / 2), from.a + t * jerk};
 }
 
-/// Takes in the position where v + a t + jerk t^2 / 2 becomes zero inside (0, T). Only the nearer
-/// root: behind it these motions do not turn again before their end.
-void include_turn(const Kinematic& from, double jerk, double T, Interval& range) {
-  const double root = from.a * from.a - 2 * jerk * from.v;
-  if (root < 0) return;
-  // Without cancellation; 0 / 0 gives no time inside.
-  const double t = -2 * from.v / (from.a + std::copysign(std::sqrt(root), from.a));
-  if (t > 0 && t < T) range.include(with_jerk(from, jerk, t).x);
-}
-
 }  // namespace
 
 Braking Braking::stop(const Kinematic& from, const DofLimits& limits) {
@@ -76,18 +66,6 @@ Kinematic Braking::at(double t) const {
     t -= piece.duration;
   }
   return end_;
-}
-
-Interval Braking::range(double t0, double t1) const {
-  Interval range{at(t0).x, at(t0).x};
-  range.include(at(t1).x);
-  double begin = 0;
-  for (const Piece& piece : pieces_) {
-    const double from = std::max(t0, begin), to = std::min(t1, begin + piece.duration);
-    if (to > from) include_turn(at(from), piece.jerk, to - from, range);
-    begin += piece.duration;
-  }
-  return range;
 }
 
 }  // namespace surg

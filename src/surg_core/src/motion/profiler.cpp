@@ -6,15 +6,9 @@
 namespace surg {
 namespace {
 
-constexpr double kRounding = 1 + 1e-12;      // of a limit
-constexpr double kPositionRounding = 1e-12;  // [m] or [rad]
+constexpr double kRounding = 1 + 1e-12;  // of a limit
 constexpr double kScanStep = 1.04;  // from one tried duration to the next; feasible ones have gaps
 constexpr double kResolution = 1e-4;  // of the duration [s]
-
-bool inside(const Interval& range, const Interval& hull) {
-  return range.least >= hull.least - kPositionRounding &&
-         range.greatest <= hull.greatest + kPositionRounding;
-}
 
 // The exact check that decides; cheapest part first.
 bool within_limits(const Quintic& q, const DofLimits& limits) {
@@ -23,7 +17,7 @@ bool within_limits(const Quintic& q, const DofLimits& limits) {
          q.max_velocity() <= limits.velocity * kRounding;
 }
 
-// A duration that is always long enough from a = 0 and |v| <= V, bounds apart. The quintic is the
+// A duration that is always long enough from a = 0 and |v| <= V. The quintic is the
 // sum of a part for the distance D and a part for v; each may take half of the acceleration and of
 // the jerk:
 //   distance part: peaks 10 D / (sqrt(3) d^2) and 60 D / d^3;
@@ -70,46 +64,43 @@ void Profiler::reset(const std::array<Kinematic, kDof>& state) {
   for (int i = 0; i < kDof; ++i) q_[i] = Quintic(state[i], state[i], 0);
 }
 
-Profiler::Check Profiler::build(const std::array<Kinematic, kDof>& from, const Goal& goal,
-                                double duration, Quintics& q) const {
+/// Whether the quintics of this duration keep the limits.
+bool Profiler::build(const std::array<Kinematic, kDof>& from,
+                     const std::array<double, kDof>& target, double duration, Quintics& q) const {
   for (int i = 0; i < kDof; ++i) {
-    q[i] = Quintic(from[i], {goal.target[i], 0, 0}, duration);
-    if (!within_limits(q[i], limits_[i])) return Check::kBeyondLimits;
+    q[i] = Quintic(from[i], {target[i], 0, 0}, duration);
+    if (!within_limits(q[i], limits_[i])) return false;
   }
-  for (int i = 0; i < kDof; ++i) {
-    if (!inside(q[i].range(0, duration), goal.hull[i])) return Check::kOutOfBounds;
-  }
-  return Check::kHolds;
+  return true;
 }
 
 /// The quintics of the first duration that holds, found by scanning upwards and then bisecting
 /// between it and its failing neighbour. False: there is none.
-bool Profiler::search(const std::array<Kinematic, kDof>& from, const Goal& goal,
-                      Quintics& q) const {
+bool Profiler::search(const std::array<Kinematic, kDof>& from,
+                      const std::array<double, kDof>& target, Quintics& q) const {
   double first = base_duration_, at_rest = base_duration_, longest = base_duration_;
   bool resting = true;
   for (int i = 0; i < kDof; ++i) {
-    const double D = std::abs(goal.target[i] - from[i].x);
+    const double D = std::abs(target[i] - from[i].x);
     first = std::max(first, D / limits_[i].velocity);  // nothing arrives sooner
     at_rest = std::max(at_rest, rest_to_rest(D, limits_[i]));
-    longest = std::max(longest, surely_enough(from[i], goal.target[i], limits_[i]));
+    longest = std::max(longest, surely_enough(from[i], target[i], limits_[i]));
     resting = resting && from[i].v == 0 && from[i].a == 0;
   }
   if (resting) {
-    for (int i = 0; i < kDof; ++i) q[i] = Quintic(from[i], {goal.target[i], 0, 0}, at_rest);
+    for (int i = 0; i < kDof; ++i) q[i] = Quintic(from[i], {target[i], 0, 0}, at_rest);
     return true;
   }
   double failed = 0, d = first;
-  for (Check check; (check = build(from, goal, d, q)) != Check::kHolds;) {
-    // Once only the bounds are in the way, longer quintics swing farther still.
-    if (check == Check::kOutOfBounds || !(d < longest)) return false;
+  while (!build(from, target, d, q)) {
+    if (!(d < longest)) return false;
     failed = d;
     d = std::min(d * kScanStep, longest);
   }
   while (failed > 0 && d - failed > kResolution) {
     const double middle = 0.5 * (failed + d);
     Quintics candidate;
-    if (build(from, goal, middle, candidate) == Check::kHolds) {
+    if (build(from, target, middle, candidate)) {
       d = middle;
       q = candidate;
     } else {
@@ -119,40 +110,32 @@ bool Profiler::search(const std::array<Kinematic, kDof>& from, const Goal& goal,
   return true;
 }
 
-bool Profiler::plan(const std::array<double, kDof>& target, const Bounds& bounds) {
+bool Profiler::plan(const std::array<double, kDof>& target) {
   for (double x : target) {
     if (!std::isfinite(x)) return false;
   }
   const std::array<Kinematic, kDof> from = state_;
-  Goal goal{target, bounds};
-  for (int i = 0; i < kDof; ++i) {
-    goal.hull[i].include(from[i].x);
-    goal.hull[i].include(target[i]);
-  }
   t_ = 0;
   brake_duration_ = 0;
-  if (search(from, goal, q_)) return true;
+  if (search(from, target, q_)) return true;
   bool keepable = true;
   for (int i = 0; i < kDof; ++i) keepable = keepable && can_keep(from[i], limits_[i]);
-  if (brake_first(&Braking::ease, from, goal)) return keepable;
-  return brake_first(&Braking::stop, from, goal) && keepable;
+  if (!brake_first(&Braking::ease, from, target)) brake_first(&Braking::stop, from, target);
+  return keepable;
 }
 
-/// Brakes every degree of freedom, then goes to the target. False: the braking leaves the hull, or
-/// no quintic holds after it. (From rest there is always one.)
-bool Profiler::brake_first(Brake brake, const std::array<Kinematic, kDof>& from, const Goal& goal) {
+/// Brakes every degree of freedom, then goes to the target. False: no quintic holds after it. (From
+/// rest there is always one.)
+bool Profiler::brake_first(Brake brake, const std::array<Kinematic, kDof>& from,
+                           const std::array<double, kDof>& target) {
   brake_duration_ = 0;
   for (int i = 0; i < kDof; ++i) {
     brake_[i] = brake(from[i], limits_[i]);
     brake_duration_ = std::max(brake_duration_, brake_[i].duration());
   }
-  bool good = true;
   std::array<Kinematic, kDof> after;
-  for (int i = 0; i < kDof; ++i) {
-    after[i] = brake_[i].at(brake_duration_);
-    good = good && inside(brake_[i].range(0, brake_duration_), goal.hull[i]);
-  }
-  return search(after, goal, q_) && good;
+  for (int i = 0; i < kDof; ++i) after[i] = brake_[i].at(brake_duration_);
+  return search(after, target, q_);
 }
 
 void Profiler::plan_fixed(const std::array<double, kDof>& target, double duration) {

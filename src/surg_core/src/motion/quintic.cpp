@@ -59,21 +59,14 @@ int sign_changes(const double* c, int degree, double low, double high, double* p
   return count;
 }
 
-// Least and greatest value of p on [low, high]: the ends and every place where p' changes sign.
-Interval extremes(const double* c, int degree, double low = 0, double high = 1) {
-  const double first = evaluate(c, degree, low);
-  Interval range{first, first};
-  range.include(evaluate(c, degree, high));
+// Greatest |p| on [0, 1]: at the ends, or where p' changes sign.
+double largest_magnitude(const double* c, int degree) {
+  double most = std::max(std::abs(evaluate(c, degree, 0)), std::abs(evaluate(c, degree, 1)));
   double derivative[5], places[4];
   differentiate(c, degree, derivative);
-  const int count = sign_changes(derivative, degree - 1, low, high, places);
-  for (int i = 0; i < count; ++i) range.include(evaluate(c, degree, places[i]));
-  return range;
-}
-
-double largest_magnitude(const double* c, int degree) {
-  const Interval range = extremes(c, degree);
-  return std::max(-range.least, range.greatest);
+  const int count = sign_changes(derivative, degree - 1, 0, 1, places);
+  for (int i = 0; i < count; ++i) most = std::max(most, std::abs(evaluate(c, degree, places[i])));
+  return most;
 }
 
 }  // namespace
@@ -127,11 +120,6 @@ double Quintic::max_jerk() const {
   if (d_ == 0) return 0;
   const double j[3] = {6 * c_[3], 24 * c_[4], 60 * c_[5]};
   return largest_magnitude(j, 2) / (d_ * d_ * d_);
-}
-
-Interval Quintic::range(double t0, double t1) const {
-  if (d_ == 0) return {to_.x, to_.x};
-  return extremes(c_, 5, std::clamp(t0 / d_, 0.0, 1.0), std::clamp(t1 / d_, 0.0, 1.0));
 }
 
 }  // namespace surg

@@ -10,10 +10,9 @@
 
 namespace surg::test {
 
-/// Greatest |v|, |a|, |jerk| and the range of x.
+/// Greatest |v|, |a| and |jerk|.
 struct Extremes {
   double velocity = 0, acceleration = 0, jerk = 0;
-  Interval position{INFINITY, -INFINITY};
 };
 
 class QuinticOracle {
@@ -34,11 +33,9 @@ class QuinticOracle {
     const std::vector<Real> vertex = with_ends({-c_[4] / (5 * c_[5])});
     const std::vector<Real> jerk_zero = with_ends(jerk_roots());
     const std::vector<Real> a_zero = crossings(2, jerk_zero);
-    const std::vector<Real> v_zero = crossings(1, a_zero);
     for (const Real t : vertex) out.jerk = std::max(out.jerk, magnitude(3, t));
     for (const Real t : jerk_zero) out.acceleration = std::max(out.acceleration, magnitude(2, t));
     for (const Real t : a_zero) out.velocity = std::max(out.velocity, magnitude(1, t));
-    for (const Real t : v_zero) out.position.include(static_cast<double>(value(0, t)));
     return out;
   }
 

@@ -9,18 +9,12 @@
 
 namespace surg::test {
 
-struct FeedbackStop {
-  double distance = 0;
-  Interval range{0, 0};  ///< of x on the way, from the start
-};
-
-/// Steps of h seconds. The deepest acceleration allowed is the one from which full jerk still
-/// returns to zero before the velocity does.
-inline FeedbackStop stop_by_feedback(const Kinematic& from, const DofLimits& limits, double h) {
+/// Its distance, in steps of h seconds. The deepest acceleration allowed is the one from which full
+/// jerk still returns to zero before the velocity does.
+inline double stop_by_feedback(const Kinematic& from, const DofLimits& limits, double h) {
   const double A = limits.acceleration, J = limits.jerk;
   const double side = from.v + 0.5 * from.a * std::abs(from.a) / J > 0 ? 1 : -1;
   double x = 0, v = side * from.v, a = side * from.a;
-  FeedbackStop out;
   while (v > 0 || v + 0.5 * a * std::abs(a) / J > 0.5 * J * h * h) {
     const double wish = -std::min(A, std::sqrt(2 * J * std::max(v, 0.0)));
     const double next = a + std::clamp(wish - a, -J * h, J * h);
@@ -28,10 +22,8 @@ inline FeedbackStop stop_by_feedback(const Kinematic& from, const DofLimits& lim
     x += 0.5 * (v + v_next) * h;
     v = v_next;
     a = next;
-    out.range.include(side * x);
   }
-  out.distance = side * x;
-  return out;
+  return side * x;
 }
 
 }  // namespace surg::test

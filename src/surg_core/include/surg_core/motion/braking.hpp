@@ -26,8 +26,6 @@ class Braking {
   /// Signed distance from the start to the end of the last jerk segment: for a stop, the exact
   /// braking distance.
   double distance() const { return end_.x - from_.x; }
-  /// Least and greatest position between two times, exact.
-  Interval range(double t0, double t1) const;
 
  private:
   struct Piece {

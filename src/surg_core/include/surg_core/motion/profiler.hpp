@@ -1,5 +1,5 @@
 // Profiler for discrete targets: one quintic per degree of freedom with a common duration, extended
-// until velocity, acceleration, jerk and position limits hold. Paper, "Velocity Profiler"; its base
+// until velocity, acceleration and jerk limits hold. Paper, "Velocity Profiler"; its base
 // duration is d = 0.5 s. All extremes are exact, none is sampled.
 #pragma once
 
@@ -14,7 +14,6 @@ namespace surg {
 class Profiler {
  public:
   static constexpr int kDof = 4;
-  using Bounds = std::array<Interval, kDof>;
 
   Profiler() = default;
   /// All of them are positive.
@@ -24,23 +23,19 @@ class Profiler {
   void reset(const std::array<double, kDof>& x);
   /// Starts from any state (for example the stream's), so that a change of mode is continuous.
   void reset(const std::array<Kinematic, kDof>& state);
-  /// Plans from the present state to rest at the target.
-  ///
-  /// Each degree of freedom stays inside its bounds, or, if its start or target lies outside,
-  /// inside the hull of bounds, start and target. Without bounds, a start in motion can overshoot
-  /// both ends by far. The first option that keeps limits and bounds is used:
+  /// Plans from the present state to rest at the target. A start in motion can overshoot both ends
+  /// by far. The first option that keeps the limits is used:
   ///
   ///   1. a quintic of the shortest duration that a scan finds;
   ///   2. all accelerations to zero with full jerk, then such a quintic (1 fails where the present
   ///      acceleration is beyond its limit);
-  ///   3. a stop in minimum time, then a quintic from rest, which is monotone and always holds.
+  ///   3. a stop in minimum time, then a quintic from rest, which always holds.
   ///
-  /// Returns whether limits and bounds hold. They do not if the present state is beyond a limit or
-  /// leaves no room for the stop of option 3, which is then used. A target that is not finite is
-  /// ignored (returns false, the present plan continues).
+  /// Returns whether the limits hold. They do not if the present state is beyond one. A target that
+  /// is not finite is ignored (returns false, the present plan continues).
   ///
   /// Re-plan from the profiler's own state, never from a measured acceleration.
-  bool plan(const std::array<double, kDof>& target, const Bounds& bounds = Bounds{});
+  bool plan(const std::array<double, kDof>& target);
   /// The same with the paper's fixed duration and no extension (--law paper re-plans every cycle).
   void plan_fixed(const std::array<double, kDof>& target, double duration);
   /// Advances the profile clock by dt.
@@ -56,15 +51,12 @@ class Profiler {
  private:
   using Brake = Braking (*)(const Kinematic&, const DofLimits&);
   using Quintics = std::array<Quintic, kDof>;
-  struct Goal {
-    std::array<double, kDof> target;
-    Bounds hull;
-  };
-  enum class Check { kHolds, kBeyondLimits, kOutOfBounds };
-  Check build(const std::array<Kinematic, kDof>& from, const Goal& goal, double duration,
+  bool build(const std::array<Kinematic, kDof>& from, const std::array<double, kDof>& target,
+             double duration, Quintics& q) const;
+  bool search(const std::array<Kinematic, kDof>& from, const std::array<double, kDof>& target,
               Quintics& q) const;
-  bool search(const std::array<Kinematic, kDof>& from, const Goal& goal, Quintics& q) const;
-  bool brake_first(Brake brake, const std::array<Kinematic, kDof>& from, const Goal& goal);
+  bool brake_first(Brake brake, const std::array<Kinematic, kDof>& from,
+                   const std::array<double, kDof>& target);
 
   std::array<DofLimits, kDof> limits_{};
   double base_duration_ = 0.5;

@@ -2,9 +2,6 @@
 // Profiler".
 #pragma once
 
-#include <algorithm>
-#include <limits>
-
 namespace surg {
 
 struct Kinematic {
@@ -13,17 +10,6 @@ struct Kinematic {
 
 struct DofLimits {
   double velocity, acceleration, jerk;
-};
-
-/// A closed interval; unbounded by default.
-struct Interval {
-  double least = -std::numeric_limits<double>::infinity();
-  double greatest = std::numeric_limits<double>::infinity();
-
-  void include(double x) {
-    least = std::min(least, x);
-    greatest = std::max(greatest, x);
-  }
 };
 
 /// x(t) = sum c_i (t/d)^i on [0, d] with given states at both ends. A duration that is not positive
@@ -38,8 +24,6 @@ class Quintic {
   double max_velocity() const;      ///< max |v| on [0, d], exact
   double max_acceleration() const;  ///< max |a|, exact
   double max_jerk() const;          ///< max |j|, exact
-  /// Least and greatest x between two times, exact. Times are clamped to [0, d].
-  Interval range(double t0, double t1) const;
 
  private:
   double c_[6] = {0, 0, 0, 0, 0, 0};  // normalised time: well scaled for any duration
