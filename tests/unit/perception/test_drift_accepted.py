@@ -55,7 +55,10 @@ def test_an_accepted_bump_leaves_what_a_fresh_calibration_leaves(
     fresh, bumped, after = np.median(rows, axis=0)
     print(f"{len(rows)} of {count}, median: {fresh}, {bumped}, {after}")
     print("95 %:", *np.percentile(rows, 95, axis=0))
-    said = f"{fresh[0]:.3f} mm, {fresh[1]:.3f}° fresh, {after[0]:.3f} mm, {after[1]:.3f}° after"
+    said = (
+        f"{fresh[0]:.3f} mm, {fresh[1]:.3f}° fresh, {after[0]:.3f} mm, {after[1]:.3f}° after; "
+        f"joints beside picture {fresh[2]:.3f}, {after[2]:.3f} mm"
+    )
     PAGE.note("drift accepted after 60 s", count, f"{len(rows)}: {said}")
     if full:
         assert len(rows) >= 0.9 * count
