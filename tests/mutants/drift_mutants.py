@@ -42,8 +42,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "what_steps_throw_away_is_explained",
         "a bump that puts every shaft behind the lens explains all",
         DRIFT + "seen_shafts.py",
-        "        r[thrown] = THROWN",
-        "        r[thrown] = 0.0",
+        "A[thrown], r[thrown] = 0.0, THROWN",
+        "A[thrown], r[thrown] = 0.0, 0.0",
         WATCH,
     ),
     one(
