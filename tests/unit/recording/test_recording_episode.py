@@ -189,6 +189,26 @@ def test_missing_ticks_drops_and_absent_streams_make_it_incomplete(tmp_path: Pat
         assert reason in recorded.manifest["reason"]
 
 
+def test_a_full_disk_ends_the_recording_and_keeps_what_was_there(tmp_path: Path) -> None:
+    what = synthetic.Synthetic()
+    recording = camera_recording.start(tmp_path / "e", arms=["PSM1"], cameras=())
+    for tick in range(1, 101):
+        recording.cycle("PSM1", synthetic.cycle(what, tick, 1), tick)
+    recording.tables.writer.flush(2.0)
+    full = os.open("/dev/full", os.O_WRONLY)
+    os.dup2(full, recording.tables.all()["cycle_PSM1"]._fd)
+    os.close(full)
+    recording.cycle("PSM1", synthetic.cycle(what, 101, 1), 101)
+    deadline = time.monotonic() + 2.0
+    while not recording.failed and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert recording.failed
+    recorded = episode_reader.read(recording.close({}))
+    assert not recorded.complete
+    assert "No space left" in recorded.manifest["reason"]
+    assert list(recorded.cycle("PSM1")["tick"]) == list(range(1, 101))
+
+
 _VICTIM = """
 import sys, time
 from pathlib import Path
