@@ -120,8 +120,8 @@ bool Profiler::plan(const std::array<double, kDof>& target) {
   if (search(from, target, q_)) return true;
   bool keepable = true;
   for (int i = 0; i < kDof; ++i) keepable = keepable && can_keep(from[i], limits_[i]);
-  if (!brake_first(&Braking::ease, from, target)) brake_first(&Braking::stop, from, target);
-  return keepable;
+  if (brake_first(&Braking::ease, from, target)) return keepable;
+  return brake_first(&Braking::stop, from, target) && keepable;
 }
 
 /// Brakes every degree of freedom, then goes to the target. False: no quintic holds after it. (From
