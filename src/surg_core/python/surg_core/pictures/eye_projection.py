@@ -47,14 +47,18 @@ class EyeProjection:
 
     def derivative(self, p_V: FloatArray) -> FloatArray:
         """(..., 2, 3) of pixels by points (..., 3) before the left eye [px/m]."""
-        return self.slopes(p_V)[0]
+        return np.asarray(self._by_point(self.before(p_V)) @ self._X_EV[:3, :3])
 
     def slopes(self, p_V: FloatArray) -> tuple[FloatArray, FloatArray]:
         """That, and (..., 2, 2) derivatives of the plane z = 1 by pixels there [1/px]."""
         p = self.before(p_V)
-        by_point = self._model.derivatives(p.reshape(-1, 3))[1].reshape(*p.shape[:-1], 2, 3)
+        by_point = self._by_point(p)
         per_pixel = np.linalg.inv(by_point[..., :2] * p[..., 2, None, None])
         return by_point @ self._X_EV[:3, :3], per_pixel
+
+    def _by_point(self, p: FloatArray) -> FloatArray:
+        """(..., 2, 3) of pixels by points (..., 3) before this eye [px/m]."""
+        return self._model.derivatives(p.reshape(-1, 3))[1].reshape(*p.shape[:-1], 2, 3)
 
     def before(self, p_V: FloatArray) -> FloatArray:
         """Points (..., 3) before the left eye, before this one [m]."""
