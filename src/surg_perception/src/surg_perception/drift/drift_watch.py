@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -159,7 +158,7 @@ class DriftWatch:
         past, future = (self._shaft(name, joints, stamp + step) for step in (-MOMENT, MOMENT))
         if past is None or future is None:
             return False
-        self._newest[name] = replace(now, v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
+        self._newest[name] = now._replace(v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
         return True
 
     def _see(self, name: str, greys: Sequence[tuple[Grey, Mask]]) -> bool:

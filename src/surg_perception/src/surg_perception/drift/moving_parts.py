@@ -27,7 +27,7 @@ import numpy as np
 from surg_core.transforms import FloatArray
 
 if TYPE_CHECKING:
-    from surg_perception.drift.seen_shafts import Shafts
+    from surg_perception.drift.seen_shafts import SeenShaft
 
 EYES = ("left", "right")
 CAMERA, BASE, LENS, TOOL, LAG = "camera", "base", "lens", "tool", "lag"
@@ -94,7 +94,7 @@ def parts_of(
 
 
 def place_derivatives(
-    shafts: Shafts, parts: Sequence[Part], scope: str, origins: dict[str, FloatArray]
+    shafts: SeenShaft, parts: Sequence[Part], scope: str, origins: dict[str, FloatArray]
 ) -> FloatArray:
     """(N, 2, 3, P) of both ends of N shafts before the left eye, by the steps of all parts.
 
@@ -120,7 +120,7 @@ def place_derivatives(
     return D
 
 
-def turns(shafts: Shafts, parts: Sequence[Part], scope: str, steps: FloatArray) -> FloatArray:
+def turns(shafts: SeenShaft, parts: Sequence[Part], scope: str, steps: FloatArray) -> FloatArray:
     """(N, 3) rotation vectors by which steps (N, P) turn each shaft before the left eye."""
     R_VF, turned = shafts.R_VW @ shafts.R_WF, np.zeros((len(steps), 3))
     for part in parts:

@@ -8,8 +8,7 @@ itself nobody sees a shaft move.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +28,10 @@ FARTHEST = 3.0
 """Lengths of the piece of shaft beyond its ends at which its line is still looked at."""
 
 
-@dataclass(frozen=True)
-class SeenShaft:
+class SeenShaft(NamedTuple):
     """One instrument in one pair of pictures; its piece of shaft goes from the lower end upwards.
+
+    Of N `stacked` ones each member has one more axis in front.
 
     Attributes:
         stamp: When [s].
@@ -46,23 +46,8 @@ class SeenShaft:
         sd: (2,) of each eye: noise of a point across the shaft [px].
     """
 
-    stamp: float
-    arm: str
-    p_V: FloatArray
-    v_V: FloatArray
-    p_W: FloatArray
-    p_TipP_F: FloatArray
-    R_VW: FloatArray
-    R_WF: FloatArray
-    pixels: FloatArray
-    sd: FloatArray
-
-
-class Shafts(NamedTuple):
-    """N of them; each member has one more axis in front."""
-
-    stamp: FloatArray
-    arm: FloatArray
+    stamp: Any
+    arm: Any
     p_V: FloatArray
     v_V: FloatArray
     p_W: FloatArray
@@ -90,10 +75,9 @@ class Rows(NamedTuple):
     place: FloatArray
 
 
-def stacked(shafts: Sequence[SeenShaft]) -> Shafts:
+def stacked(shafts: Sequence[SeenShaft]) -> SeenShaft:
     """All in one."""
-    names = Shafts._fields
-    return Shafts(*(np.array([getattr(each, name) for each in shafts]) for name in names))
+    return SeenShaft._make(map(np.array, zip(*shafts, strict=True)))
 
 
 class ShaftRows:
@@ -122,7 +106,7 @@ class ShaftRows:
         self._parts, self._scope, self._origins = list(parts), scope, origins
         self._of_eye = {part.of: part.at for part in parts if part.kind == LENS}
 
-    def at(self, shafts: Shafts, x: FloatArray) -> Rows:
+    def at(self, shafts: SeenShaft, x: FloatArray) -> Rows:
         """Residuals, and derivatives that hold at the steps x (P,).
 
         A shaft that such steps throw into the lens, or out of the view, they do not explain: it is
@@ -147,7 +131,7 @@ class ShaftRows:
         A[thrown], r[thrown] = 0.0, THROWN
         return Rows(A, r, sd, self._place(shafts, D))
 
-    def moved(self, shafts: Shafts, x: FloatArray) -> FloatArray:
+    def moved(self, shafts: SeenShaft, x: FloatArray) -> FloatArray:
         """(N, 2, 3) both ends before the left eye after the steps x (P,)."""
         return self._stepped(shafts, np.tile(x, (len(shafts.stamp), 1)))[1]
 
@@ -173,6 +157,8 @@ class ShaftRows:
         u = _before_the_eye(-up / down, a[:, 2:], b[:, 2:])[..., None]
         q = a[:, None] + u * b[:, None]
         p_V = there_V[:, :1] + u * (there_V[:, 1:] - there_V[:, :1])
+        in_view = view.sees(p_V).all(axis=1)
+        p_V[~in_view] = 0.0, 0.0, 1.0  # on the axis: beyond the view the formula explodes
         by_point, per_pixel = view.slopes(p_V)
         n_pixel = np.einsum("nc,nkcd->nkd", normal, per_pixel)  # noise is of the picture
         size = np.linalg.norm(n_pixel, axis=-1)
@@ -182,9 +168,9 @@ class ShaftRows:
         between = slope[:, :1] + u[..., None] * (slope[:, 1:] - slope[:, :1])
         A = np.einsum("nks,nksp->nkp", by_place, between)
         A[..., self._of_eye[EYES[eye]]] = n_pixel
-        return A, r, view.sees(p_V).all(axis=1)
+        return A, r, in_view
 
-    def _plane(self, shafts: Shafts, eye: int, steps: FloatArray) -> FloatArray:
+    def _plane(self, shafts: SeenShaft, eye: int, steps: FloatArray) -> FloatArray:
         """(N, 2, 2) the seen points in the plane z = 1, the lens moved back by its steps (N, P)."""
         pixels = shafts.pixels[:, eye] - steps[:, None, self._of_eye[EYES[eye]]]
         seen, m = _whole(pixels), np.full(pixels.shape, np.nan)
@@ -199,7 +185,7 @@ class ShaftRows:
         return moving
 
     def _stepped(
-        self, shafts: Shafts, steps: FloatArray
+        self, shafts: SeenShaft, steps: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """After the steps (N, P): (N, 2, 3, P), (N, 2, 3) and (N, 2, 3, P).
 
@@ -224,7 +210,7 @@ class ShaftRows:
         slope = half + 0.5 * np.cross(w, D, axis=2)
         return half, shafts.p_V + np.einsum("nesp,np->nes", half, moving), slope
 
-    def _place(self, shafts: Shafts, D: FloatArray) -> FloatArray:
+    def _place(self, shafts: SeenShaft, D: FloatArray) -> FloatArray:
         """As `Rows` has it; a lens shifts the place where a shaft is seen."""
         place = D[:, 0].copy()
         if EYES[0] in self._of_eye:
