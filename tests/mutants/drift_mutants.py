@@ -34,7 +34,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "one_judgement_is_enough",
         "what joints do not drive stops an operation",
         DRIFT + "drift_state.py",
-        "SURE and verdict.again",
+        "SURE and verdict.confirmed",
         "SURE",
         ("test_drift_figures",),
     ),

@@ -33,7 +33,7 @@ from surg_core.pictures.eye_projection import EyeProjection
 from surg_perception.calibration.result_files import LEFT, RIGHT
 from surg_perception.calibration.tip_finder import NotSeen
 from surg_perception.drift.drift_state import MOVED, STEADY, UNKNOWN, DriftState, state_of
-from surg_perception.drift.drift_watch import DriftWatch
+from surg_perception.drift.drift_watch import SHAFT, DriftWatch
 from surg_perception.drift.seen_shafts import THROWN, SeenShaft, stacked
 from surg_perception.drift.shaft_finder import find_shaft, lit_part
 from surg_perception.drift.stated_parts import stated_parts
@@ -109,6 +109,7 @@ BUMPS: dict[str, tuple[str, Callable[[np.random.Generator], Moved]]] = {
         lambda rng: Moved(tool=np.r_[drawn(rng, np.radians(1.0)), drawn(rng, 0.003)]),
     ),
     "lag, 50 ms": ("lag", lambda rng: Moved(lag=0.05)),
+    "lag, 150 ms": ("lag", lambda rng: Moved(lag=0.15)),
 }
 
 SMALL = ("camera, 1 mm", "camera, 0.5 deg")
@@ -302,6 +303,27 @@ def test_derivatives_are_those_of_a_shaft_that_steps_by_centimetres(
         slope = (off(x - step) - off(x + step))[seen] / 2e-5
         true = found.A[..., number][seen] * one
         assert np.abs(slope - true).max() < 0.02 * np.abs(found.A[seen] * sd).max()
+
+
+def test_late_pictures_show_a_shaft_where_it_was(benches: list[DriftBench]) -> None:
+    bench, rng, kept = benches[0], np.random.default_rng(3), list[SeenShaft]()
+    watch, motion = watch_of(bench.cell, kept.append), Motion(bench.chain, 3, 10.0, True)
+    for at in motion.t:
+        look_without_pictures(watch, bench, motion, float(at), Moved(), rng)
+    parts = stated_parts(bench.cell)
+    x = np.zeros(parts[-1].at.stop)
+    x[next(part.at for part in parts if part.kind == "lag")] = 0.15
+    found = watch.rows.moved(stacked(kept), x)
+    off, way = list[float](), list[float]()
+    for shaft, there_V in zip(kept, found, strict=True):
+        late, now = (
+            bench.shaft(motion, shaft.stamp, moved, np.array(SHAFT))
+            for moved in (Moved(lag=0.15), Moved())
+        )
+        off += np.linalg.norm(there_V - shaft.p_V - (late - now), axis=1).tolist()
+        way += np.linalg.norm(late - now, axis=1).tolist()
+    assert len(kept) > 40 and np.mean(way) > 0.001
+    assert np.mean(off) < 0.04 * np.mean(way), (np.mean(off), np.mean(way))
 
 
 def test_a_cell_that_nobody_calibrated_is_refused(

@@ -21,6 +21,7 @@ from surg_perception.drift import (
     drift_evidence,
     drift_fits,
     drift_state,
+    drift_verdict,
     drift_watch,
     shaft_breath,
 )
@@ -136,12 +137,14 @@ def test_what_the_joints_do_not_drive_is_no_bump(tmp_path: Path, full: bool) -> 
 
 
 CHANGED = [
-    (drift_evidence, "PRIOR", (1e-4, 1e-2)),
+    (drift_evidence, "PRIOR", (1e-3, 1e-1)),
     (drift_evidence, "BIAS", (0.25, 1.0)),
     (drift_evidence, "ALIKE", (0.0, 6.0)),
     (drift_evidence, "ROUGH", (0.75, 3.0)),
     (drift_evidence, "LENGTHS", ((8, 16, 32), (8, 32, 128))),
     (drift_evidence, "PERIOD", (0.25, 1.0)),
+    (drift_evidence, "SOONER", (0.1, 0.5)),
+    (drift_evidence, "FORETOLD", (0.5, 4.0)),
     (drift_evidence, "STABLE", (0.0, 1.0)),
     (drift_evidence, "SCALES", ((1.0,), (0.1, 1.0))),
     (drift_fits, "WRONG", (3.0, 12.0)),
@@ -149,6 +152,7 @@ CHANGED = [
     (drift_state, "SURE", (0.9, 0.999)),
     (drift_state, "LIKELY", (0.6, 0.95)),
     (drift_state, "MISFIT", (1.0, 4.0)),
+    (drift_verdict, "MISFIT", (1.0, 4.0)),
     (drift_evidence, "MISFIT", (1.0, 4.0)),
     (shaft_breath, "RATES", (np.array([0.05]), np.arange(0.15, 0.5, 0.05))),
     (drift_watch, "STILL_LIKELY", (0.0, 0.9)),

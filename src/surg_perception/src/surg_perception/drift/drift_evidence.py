@@ -15,18 +15,17 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from surg_core.transforms import FloatArray
-from surg_perception.drift.drift_fits import Fits, Sums, fits_of, joined
+from surg_perception.drift.drift_fits import Fits, Sums, fits_of, foretold, joined
+from surg_perception.drift.drift_verdict import MISFIT, NOTHING, STILL_LIKELY, Verdict
 from surg_perception.drift.moving_parts import LENS, TOOL, Part
 from surg_perception.drift.seen_shafts import SeenShaft, ShaftRows, stacked
 from surg_perception.drift.shaft_breath import BEND, ShaftBreath
 
-NOTHING = "nothing"
-PRIOR = 1e-3
+PRIOR = 1e-2
 """Probability that something moved, before anything is seen; every kind has an equal share."""
 BIAS = 0.5
 """[px] Least sigma of what a sighting is off beside its noise, and of what all of an eye's are off
@@ -36,9 +35,13 @@ ALIKE = 3.0
 ROUGH = 1.5
 """[px] Largest scatter that is taken for noise."""
 LENGTHS = (8, 16, 32, 64, 128)
-"""A part may have moved so many sightings ago."""
+"""A part may have moved so many sightings ago: before the first, or after the least of these."""
 PERIOD = 0.5
 """[s] Least time between two judgements; bounds the cost, whatever the pictures' rate."""
+SOONER = 0.3
+"""[s] The same while a motion waits to be confirmed."""
+FORETOLD = 1.0
+"""[sigma^2] Largest median residual of sightings that a motion foretold, with its uncertainty."""
 STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
@@ -51,48 +54,6 @@ DRAWS = 200
 """Draws of the steps for its interval."""
 UNLIKELY = 1e-3
 """Probability of a hypothesis below which it does not count there."""
-STILL_LIKELY = 0.5
-"""Probability of no motion above which the chain counts as one at rest."""
-MISFIT = 2.0
-"""[sigma^2] Largest median residual of what a hypothesis explains. A true one leaves 0.2 to 0.8,
-another motion than the joints' mostly more."""
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Of all kept sightings.
-
-    Attributes:
-        probabilities: Of `NOTHING` and of each part's name; their sum is 1.
-        best: The most probable part.
-        x: (P,) steps of all parts, if the best one moved.
-        beside: How far the newest instruments are seen beside their place [m]: least, expected,
-            largest, 95 %.
-        misfit: Median squared residual of sightings since, by the best hypothesis [sigma^2].
-        since: Stamp of the first sighting after the best part moved [s].
-        sightings: How many there are since.
-        again: Whether the judgement before was of the same motion. What joints do not drive looks
-            for some sightings as if a part had moved, then otherwise.
-    """
-
-    probabilities: dict[str, float]
-    best: Part
-    x: FloatArray
-    beside: tuple[float, float, float]
-    misfit: float
-    since: float
-    sightings: int
-    again: bool
-
-    @property
-    def moved(self) -> bool:
-        """Whether a part rather moved than not, and that explains what is seen."""
-        return self.nothing < STILL_LIKELY and self.misfit < MISFIT
-
-    @property
-    def nothing(self) -> float:
-        """Probability that nothing moved."""
-        return self.probabilities[NOTHING]
 
 
 class DriftEvidence:
@@ -133,20 +94,24 @@ class DriftEvidence:
         self._variances = np.zeros(0)
         self._noise = BIAS**2 + ALIKE * BIAS**2
         self._at = np.zeros((len(self.parts), rows.steps))
-        self._judged_at = -np.inf
+        self._judged_at, self._new = -np.inf, 0
         self._verdict: Verdict | None = None
+        self._foretelling = np.zeros(size), np.zeros((size, size))
         self._draws = np.random.default_rng(0).normal(size=(DRAWS, 3 * NEWEST + 1))
 
     def add(self, sighting: SeenShaft) -> Verdict | None:
         """Take in the newest sighting; returns the newest judgement, None: too few sightings."""
         self._kept.append(sighting)
+        self._new += 1
         self._variances = np.append(self._variances, self._noise)
         told, _ = self._told(slice(-1, None), self._none)
         pairs = zip(self._sums, told, strict=True)
         self._sums = Sums(*(np.concatenate([old, new]) for old, new in pairs))
-        since = abs(sighting.stamp - self._judged_at)
-        if len(self._kept) >= LENGTHS[0] and since >= PERIOD:
+        since, last = abs(sighting.stamp - self._judged_at), self._verdict
+        unsure = last is not None and last.moved and not last.confirmed
+        if len(self._kept) >= LENGTHS[0] and since >= (SOONER if unsure else PERIOD):
             self._verdict, self._judged_at = self._judged(), sighting.stamp
+            self._new = 0
             self._forget()
         return self._verdict
 
@@ -195,7 +160,9 @@ class DriftEvidence:
         count, last = len(self._kept), self._verdict
         since = np.inf if last is None else last.since
         moved = sum(each.stamp >= since for each in self._kept)
-        lengths = np.array(sorted({n for n in (*LENGTHS, moved) if LENGTHS[0] <= n <= count}))
+        longest = count if count >= LENGTHS[-1] else count - NEWEST
+        told = {n for n in (*LENGTHS, moved) if NEWEST <= n <= longest or n == count}
+        lengths = np.array(sorted(told or {count}))
         times, kinds = len(lengths), len(self._wander)
         before = (np.arange(count) < (count - lengths)[:, None]).astype(float)
         rest = fits_of(
@@ -223,7 +190,7 @@ class DriftEvidence:
         at = fits.x[likeliest]
         at[np.abs(at).max(axis=1) > WILD] = 0.0
         self._at = (at * self._unit)[:, : self._rows.steps] * (not steady)
-        return Verdict(
+        verdict = Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
             (fits.x[best] * self._unit)[: self._rows.steps],
@@ -231,8 +198,21 @@ class DriftEvidence:
             misfit,
             self._kept[-length].stamp,
             length,
-            last is not None and last.moved and length == moved,
+            self._confirmed(),
         )
+        self._foretelling = fits.x[best], fits.covariance[best]
+        return verdict
+
+    def _confirmed(self) -> bool:
+        """Whether the motion that was judged before foretold what was seen since, now or earlier.
+
+        What joints do not drive looks for some sightings as if a part had moved, then otherwise.
+        """
+        last, (x, covariance) = self._verdict, self._foretelling
+        if last is None or not last.moved or last.confirmed:
+            return last is not None and last.moved
+        told, _ = self._told(slice(-self._new, None), (x * self._unit)[: self._rows.steps])
+        return float(np.median(foretold(told, x, covariance))) < FORETOLD
 
     def _hypotheses(self, mask: FloatArray, rest: Fits) -> tuple[Fits, list[FloatArray]]:
         """Fits of all kinds at each of T times, and for each kind the places of the newest.

@@ -81,6 +81,19 @@ def fits_of(sums: Sums, mask: FloatArray, mean: FloatArray, prior: FloatArray) -
     return Fits(x, covariance, log, chi)
 
 
+def foretold(sums: Sums, x: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(N,) squared residuals of sightings by an earlier fit, in sigmas of both together.
+
+    Args:
+        sums: Of sightings that were not fitted.
+        x: (P,) steps.
+        covariance: (P, P) of them.
+    """
+    off = sums.A @ x - sums.r
+    spread = sums.A @ covariance @ sums.A.transpose(0, 2, 1) + np.eye(off.shape[1])
+    return np.einsum("nr,nr->n", off, np.linalg.solve(spread, off[..., None])[..., 0])
+
+
 def joined(found: Sequence[Fits], times: int) -> Fits:
     """Fits of several kinds of hypotheses at each of the same times, as one: time by time."""
 

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 from operator import itemgetter
 
-from surg_perception.drift.drift_evidence import MISFIT, NOTHING, STILL_LIKELY, Verdict
+from surg_perception.drift.drift_verdict import MISFIT, NOTHING, STILL_LIKELY, Verdict
 
 STEADY, MOVED, UNKNOWN = "steady", "moved", "cannot tell"
 SURE = 0.95
@@ -67,7 +67,7 @@ def state_of(verdict: Verdict | None, unseen: Counter[str]) -> DriftState:
         why = unseen.most_common(1)
         seen = f"too few sightings ({why[0][0]})" if why else "no instrument has moved in view yet"
         return DriftState(UNKNOWN, seen)
-    word = MOVED if verdict.nothing < 1.0 - SURE and verdict.again else UNKNOWN
+    word = MOVED if verdict.nothing < 1.0 - SURE and verdict.confirmed else UNKNOWN
     if verdict.nothing > STILL_LIKELY:
         word = STEADY
     reason, cause, likely = "", "", 0.0

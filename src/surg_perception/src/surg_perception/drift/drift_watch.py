@@ -15,7 +15,8 @@ from surg_core.lens_file import Lens
 from surg_core.transforms import FloatArray
 from surg_perception.calibration.tip_finder import Mask, NotSeen
 from surg_perception.depth.rectification import Picture
-from surg_perception.drift.drift_evidence import STILL_LIKELY, DriftEvidence, Verdict
+from surg_perception.drift.drift_evidence import DriftEvidence
+from surg_perception.drift.drift_verdict import STILL_LIKELY, Verdict
 from surg_perception.drift.moving_parts import Part
 from surg_perception.drift.seen_shafts import SeenShaft, ShaftRows, stacked
 from surg_perception.drift.shaft_finder import Grey, find_shaft, lit_part
@@ -34,6 +35,8 @@ WIDER = 0.15
 """A shaft is at most so much wider or narrower than it mostly was, relative."""
 MOMENT = 0.005
 """[s] Joints are taken so long before and behind a picture, for the speed."""
+EARLIER = 0.1
+"""[s] Joints are taken so long before a picture besides, for the acceleration: pictures may lag."""
 LOST = 10.0
 """[s] Without a sighting for so long while an instrument moves, nobody can tell any more."""
 RADIUS = 0.003
@@ -137,6 +140,7 @@ class DriftWatch:
             arm=name,
             p_V=p_V,
             v_V=np.zeros_like(p_V),
+            a_V=np.zeros_like(p_V),
             p_W=p_W,
             p_TipP_F=p_TipP_F,
             R_VW=X_VW[:3, :3],
@@ -155,10 +159,13 @@ class DriftWatch:
             return False
         if last is not None and np.linalg.norm(now.p_V - last.p_V, axis=1).max() < self._step:
             return False
-        past, future = (self._shaft(name, joints, stamp + step) for step in (-MOMENT, MOMENT))
-        if past is None or future is None:
+        steps = (-EARLIER, -MOMENT, MOMENT)
+        earlier, past, future = (self._shaft(name, joints, stamp + step) for step in steps)
+        if earlier is None or past is None or future is None:
             return False
-        self._newest[name] = now._replace(v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
+        v_V = (future.p_V - past.p_V) / (2.0 * MOMENT)
+        a_V = 2.0 * (earlier.p_V - now.p_V + EARLIER * v_V) / EARLIER**2
+        self._newest[name] = now._replace(v_V=v_V, a_V=a_V)
         return True
 
     def _see(self, name: str, greys: Sequence[tuple[Grey, Mask]]) -> bool:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surg_core.lens_file import Lens
 from surg_core.pictures.eye_projection import EyeProjection
 from surg_core.transforms import FloatArray
-from surg_perception.drift.moving_parts import EYES, LENS, Part, place_derivatives, turns
+from surg_perception.drift.moving_parts import EYES, LAG, LENS, Part, place_derivatives, turns
 
 NEAREST = 0.3
 """Least depth of a shaft after steps, relative to before; of its line, to the shaft's. Nearer,
@@ -38,6 +38,7 @@ class SeenShaft(NamedTuple):
         arm: Whose instrument.
         p_V: (2, 3) both ends before the left eye, by the joints [m].
         v_V: (2, 3) their speed there [m/s].
+        a_V: (2, 3) and their acceleration [m/s^2].
         p_W: (2, 3) in the world.
         p_TipP_F: (2, 3) from the tip, in the flange's axes.
         R_VW: (3, 3).
@@ -50,6 +51,7 @@ class SeenShaft(NamedTuple):
     arm: Any
     p_V: FloatArray
     v_V: FloatArray
+    a_V: FloatArray
     p_W: FloatArray
     p_TipP_F: FloatArray
     R_VW: FloatArray
@@ -105,6 +107,7 @@ class ShaftRows:
         self.steps = parts[-1].at.stop
         self._parts, self._scope, self._origins = list(parts), scope, origins
         self._of_eye = {part.of: part.at for part in parts if part.kind == LENS}
+        (self._lag,) = (part.at for part in parts if part.kind == LAG)
 
     def at(self, shafts: SeenShaft, x: FloatArray) -> Rows:
         """Residuals, and derivatives that hold at the steps x (P,).
@@ -199,8 +202,10 @@ class ShaftRows:
         size = np.linalg.norm(p_F[:, 1] - p_F[:, 0], axis=1)[:, None]
         turned_V = (half_V[:, 1] - half_V[:, 0]) / size
         turned_F = np.einsum("ni,nij,njk->nk", turned_V, shafts.R_VW, shafts.R_WF)
+        late = shafts.a_V * steps[:, None, self._lag] / 2.0
         between = shafts._replace(
             p_V=shafts.p_V + half_V,
+            v_V=shafts.v_V - late,
             p_W=shafts.p_W + half_V @ shafts.R_VW,
             p_TipP_F=p_F + np.linalg.norm(p_F, axis=2)[..., None] * turned_F[:, None],
         )
@@ -208,6 +213,7 @@ class ShaftRows:
         # Of the chord D(p + D(p) x / 2) x: D is affine in p, by the turn of all steps.
         w = turns(shafts, *known, moving)[:, None, :, None]
         slope = half + 0.5 * np.cross(w, D, axis=2)
+        slope[..., self._lag] += late[..., None]
         return half, shafts.p_V + np.einsum("nesp,np->nes", half, moving), slope
 
     def _place(self, shafts: SeenShaft, D: FloatArray) -> FloatArray:
