@@ -13,8 +13,8 @@ from surg_core.config import Cell
 from surg_perception.calibration.result_files import Origin, save_page
 from surg_perception.depth.recorded_eyes import RecordedEyes, RecordedPair
 from surg_perception.drift.accepted_drift import accept
-from surg_perception.drift.drift_verdict import NOTHING
 from surg_perception.drift.drift_state import MOVED, UNKNOWN, DriftState
+from surg_perception.drift.drift_verdict import NOTHING
 from surg_perception.drift.drift_watch import DriftWatch
 from surg_perception.drift.recorded_drift import show, watched
 from surg_recording.episode import episode_reader
