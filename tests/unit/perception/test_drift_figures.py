@@ -137,7 +137,7 @@ def test_what_the_joints_do_not_drive_is_no_bump(tmp_path: Path, full: bool) -> 
 
 
 CHANGED = [
-    (drift_evidence, "PRIOR", (1e-3, 1e-1)),
+    (drift_evidence, "PRIOR", (1e-4, 1e-2)),
     (drift_evidence, "BIAS", (0.25, 1.0)),
     (drift_evidence, "ALIKE", (0.0, 6.0)),
     (drift_evidence, "ROUGH", (0.75, 3.0)),

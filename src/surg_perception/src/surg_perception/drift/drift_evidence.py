@@ -25,7 +25,7 @@ from surg_perception.drift.moving_parts import LENS, TOOL, Part
 from surg_perception.drift.seen_shafts import SeenShaft, ShaftRows, stacked
 from surg_perception.drift.shaft_breath import BEND, ShaftBreath
 
-PRIOR = 1e-2
+PRIOR = 1e-3
 """Probability that something moved, before anything is seen; every kind has an equal share."""
 BIAS = 0.5
 """[px] Least sigma of what a sighting is off beside its noise, and of what all of an eye's are off

@@ -161,11 +161,13 @@ class DriftWatch:
             return False
         steps = (-EARLIER, -MOMENT, MOMENT)
         earlier, past, future = (self._shaft(name, joints, stamp + step) for step in steps)
-        if earlier is None or past is None or future is None:
+        if past is None or future is None:
             return False
-        v_V = (future.p_V - past.p_V) / (2.0 * MOMENT)
-        a_V = 2.0 * (earlier.p_V - now.p_V + EARLIER * v_V) / EARLIER**2
-        self._newest[name] = now._replace(v_V=v_V, a_V=a_V)
+        now = now._replace(v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
+        if earlier is not None:
+            a_V = 2.0 * (earlier.p_V - now.p_V + EARLIER * now.v_V) / EARLIER**2
+            now = now._replace(a_V=a_V)
+        self._newest[name] = now
         return True
 
     def _see(self, name: str, greys: Sequence[tuple[Grey, Mask]]) -> bool:
