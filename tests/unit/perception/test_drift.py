@@ -151,7 +151,7 @@ def test_while_nothing_moves_nothing_is_said(benches: list[DriftBench], full: bo
 
 def test_a_still_endoscope_does_not_tell_a_camera_from_a_base(benches: list[DriftBench]) -> None:
     moved = Moved(camera=np.array([0.0, 0.0, 0.0, 0.002, 0.001, 0.0]))
-    last = played(benches[0], 6, moved, scope=False)[-1][1]
+    last = played(benches[0], 4, moved, scope=False)[-1][1]
     assert (last.word, last.cause) == (MOVED, "")
     assert "turn the endoscope" in last.reason and "base of ECM" in last.reason
 

@@ -35,7 +35,7 @@ ALIKE = 3.0
 ROUGH = 1.5
 """[px] Largest scatter that is taken for noise."""
 LENGTHS = (8, 16, 32, 64, 128)
-"""A part may have moved so many sightings ago: before the first, or after the least of these."""
+"""A part may have moved so many sightings ago: before the first one, or after `NEWEST` of them."""
 PERIOD = 0.5
 """[s] Least time between two judgements; bounds the cost, whatever the pictures' rate."""
 SOONER = 0.3
@@ -160,6 +160,7 @@ class DriftEvidence:
         count, last = len(self._kept), self._verdict
         since = np.inf if last is None else last.since
         moved = sum(each.stamp >= since for each in self._kept)
+        # Fewer sightings do not tell a chain at rest; forgotten ones came before those kept.
         longest = count if count >= LENGTHS[-1] else count - NEWEST
         told = {n for n in (*LENGTHS, moved) if NEWEST <= n <= longest or n == count}
         lengths = np.array(sorted(told or {count}))
@@ -190,7 +191,9 @@ class DriftEvidence:
         at = fits.x[likeliest]
         at[np.abs(at).max(axis=1) > WILD] = 0.0
         self._at = (at * self._unit)[:, : self._rows.steps] * (not steady)
-        verdict = Verdict(
+        confirmed = self._confirmed()
+        self._foretelling = fits.x[best], fits.covariance[best]
+        return Verdict(
             {name: float(value) for name, value in probabilities.items()},
             self.parts[most],
             (fits.x[best] * self._unit)[: self._rows.steps],
@@ -198,19 +201,20 @@ class DriftEvidence:
             misfit,
             self._kept[-length].stamp,
             length,
-            self._confirmed(),
+            confirmed,
         )
-        self._foretelling = fits.x[best], fits.covariance[best]
-        return verdict
 
     def _confirmed(self) -> bool:
         """Whether the motion that was judged before foretold what was seen since, now or earlier.
 
         What joints do not drive looks for some sightings as if a part had moved, then otherwise.
         """
-        last, (x, covariance) = self._verdict, self._foretelling
-        if last is None or not last.moved or last.confirmed:
-            return last is not None and last.moved
+        last = self._verdict
+        if last is None or not last.moved:
+            return False
+        if last.confirmed:
+            return True
+        x, covariance = self._foretelling
         told, _ = self._told(slice(-self._new, None), (x * self._unit)[: self._rows.steps])
         return float(np.median(foretold(told, x, covariance))) < FORETOLD
 

@@ -164,7 +164,7 @@ class DriftWatch:
         if past is None or future is None:
             return False
         now = now._replace(v_V=(future.p_V - past.p_V) / (2.0 * MOMENT))
-        if earlier is not None:
+        if earlier is not None:  # a recording may begin with its first picture
             a_V = 2.0 * (earlier.p_V - now.p_V + EARLIER * now.v_V) / EARLIER**2
             now = now._replace(a_V=a_V)
         self._newest[name] = now
