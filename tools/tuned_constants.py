@@ -15,16 +15,16 @@ from typing import NamedTuple
 
 CORE = Path(__file__).resolve().parents[1] / "src" / "surg_core"
 NO_TUNING = {
-    *("kInf", "kUnknown", "kHuge", "kRound", "kRounding", "kPositionRounding", "kResolution"),
-    *("kParallel", "kSingular", "kStraight", "kAtSingular", "kNoDirection", "kSingularRows"),
-    *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kVersion"),
+    *("kInf", "kUnknown", "kHuge", "kRound", "kRounding", "kUnitRounding", "kTurnRounding"),
+    *("kResolution", "kParallel", "kSingular", "kNoDirection", "kFreeRoll", "kSingularRows"),
+    *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kRates"),
     *("kBlocks", "kBlockSteps", "kBlockEvents", "kPlaces", "kSamples", "kSlots", "kTerms", "kMost"),
-    *("kAtOnce", "kExact", "kOnPath", "kTouching"),
+    *("kAtOnce", "kExact", "kOnPath", "kTouching", "kSwings", "kFirstOvertone"),
     *("kWallRounding", "kPeriodRounding", "kOnAxis", "kPivotReached"),
     *("kMaxCommands", "kMaxOtherArms", "kMaxLinkCapsules", "kCapacity", "kJoints", "kUrJoints"),
     *("kNobody", "kAny"),
 }
-"""Rounding, sizes of arrays and marks such as infinity."""
+"""Rounding, sizes of arrays, what follows from another constant, marks such as infinity."""
 _STATED = re.compile(
     r"^ *(?:static |inline )*constexpr (?:double|int) (k\w+) =\s*([^;]+);"
     r"(?: *//[/<]* ((?:.*)(?:\n {8,}//[/<]* .*)*))?$",

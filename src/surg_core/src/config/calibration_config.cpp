@@ -10,8 +10,8 @@ using namespace config;
 
 namespace {
 
-constexpr int kUrJoints = 6;    // joints of a UR
-constexpr double kUnit = 1e-6;  // from the length of a unit vector or quaternion
+constexpr int kUrJoints = 6;            // joints of a UR
+constexpr double kUnitRounding = 1e-6;  // from the length of a unit vector or quaternion
 
 /// What every calibration file carries beside its value. A bad calibration is refused here.
 Evidence read_evidence(Reader& reader) {
@@ -48,8 +48,8 @@ Eigen::Matrix<double, n, 1> read_numbers(Reader& reader, const std::string& key,
 }
 
 Eigen::Quaterniond read_quaternion(Reader& reader, const std::string& key) {
-  const Eigen::Vector4d q = read_numbers<4>(reader, key, 1.0 + kUnit);  // x, y, z, w
-  if (!(std::abs(q.norm() - 1.0) <= kUnit)) {
+  const Eigen::Vector4d q = read_numbers<4>(reader, key, 1.0 + kUnitRounding);  // x, y, z, w
+  if (!(std::abs(q.norm() - 1.0) <= kUnitRounding)) {
     reader.fail(key, "has length " + number(q.norm()) + "; allowed: x, y, z, w of length 1");
   }
   return Eigen::Quaterniond(q[3], q[0], q[1], q[2]).normalized();
@@ -94,7 +94,7 @@ ToolCalibration parse_tool(const Document& document) {
   Reader reader(document, "surg_tool/1");
   ToolCalibration tool;
   tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
-  if (!(std::abs(tool.s_F.norm() - 1.0) < kUnit)) {
+  if (!(std::abs(tool.s_F.norm() - 1.0) < kUnitRounding)) {
     reader.fail("shaft_axis",
                 "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
   }

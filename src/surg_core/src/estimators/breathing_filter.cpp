@@ -10,7 +10,6 @@ namespace {
 constexpr double kWander = 1e-5;     // [m/sqrt(s)] of the mean; of the k-th harmonic 1/k of it
 constexpr double kDrift = 1e-6;      // [m/s/sqrt(s)] of the line's slope
 constexpr double kStart = 4;         // times the covariance of a fit whose rate is right
-constexpr double kProven = 8;        // [s] after which a rate that fails was right before
 constexpr double kBiasShare = 0.15;  // of a new innovation in the low-passed one
 constexpr double kDeparture = 5.5;   // its standard deviations; beyond them the motion has changed
 constexpr double kFinest = 2.4;      // [Hz] of the overtones; the wall is too heavy for faster ones
@@ -21,11 +20,11 @@ constexpr double kKink = 1.2;        // times the fundamental over k^2: what a k
 
 void Overtones::start(double rate, double size) {
   const int last = std::min(static_cast<int>(2 * M_PI * kFinest / rate), kLast);
-  n_ = std::max(last - kFirst + 1, 0);
+  n_ = std::max(last - kFirstOvertone + 1, 0);
   rate_ = rate;
   breath_ = 0;
   for (int i = 0; i < n_; ++i) {
-    const double k = kFirst + i, deviation = kKink * size / (k * k);
+    const double k = kFirstOvertone + i, deviation = kKink * size / (k * k);
     cos_[i].setZero();
     sin_[i].setZero();
     variance_[i] = deviation * deviation;
@@ -35,14 +34,14 @@ void Overtones::start(double rate, double size) {
 void Overtones::predict(double dt) {
   breath_ += dt * rate_ / (2 * M_PI);
   for (int i = 0; i < n_; ++i) {
-    const double wander = kWander / (kFirst + i);
+    const double wander = kWander / (kFirstOvertone + i);
     variance_[i] += wander * wander * dt;
   }
 }
 
 void Overtones::correct(double phase, const Vector3& miss, double variance) {
   const std::complex<double> turn = std::polar(1.0, phase);
-  std::complex<double> at = std::polar(1.0, (kFirst - 1) * phase);
+  std::complex<double> at = std::polar(1.0, (kFirstOvertone - 1) * phase);
   for (int i = 0; i < n_; ++i) {
     at *= turn;
     // The samples of a small part of a breath cannot tell one overtone from the next.
@@ -57,7 +56,7 @@ void Overtones::correct(double phase, const Vector3& miss, double variance) {
 
 Vector3 Overtones::p(double phase) const {
   const std::complex<double> turn = std::polar(1.0, phase);
-  std::complex<double> at = std::polar(1.0, (kFirst - 1) * phase);
+  std::complex<double> at = std::polar(1.0, (kFirstOvertone - 1) * phase);
   Vector3 p = Vector3::Zero();
   for (int i = 0; i < n_; ++i) {
     at *= turn;
@@ -68,11 +67,11 @@ Vector3 Overtones::p(double phase) const {
 
 Vector3 Overtones::v(double phase, double rate) const {
   const std::complex<double> turn = std::polar(1.0, phase);
-  std::complex<double> at = std::polar(1.0, (kFirst - 1) * phase);
+  std::complex<double> at = std::polar(1.0, (kFirstOvertone - 1) * phase);
   Vector3 v = Vector3::Zero();
   for (int i = 0; i < n_; ++i) {
     at *= turn;
-    v += (kFirst + i) * rate * (at.real() * sin_[i] - at.imag() * cos_[i]);
+    v += (kFirstOvertone + i) * rate * (at.real() * sin_[i] - at.imag() * cos_[i]);
   }
   return v;
 }
@@ -135,7 +134,7 @@ void BreathingFilter::settle() {
 /// A filter that was right for a while tells that the breathing has changed; else its rate is
 /// wrong.
 void BreathingFilter::drop(const Vector3& p, double variance) {
-  if (settled_for_ > kProven) return start(p, variance);
+  if (settled_for_ > RateSearch::kLeastSpan) return start(p, variance);
   settled_ = false;
   search_.reject();
 }

@@ -10,7 +10,6 @@ namespace {
 constexpr double kBlock = 0.099;    // [s] samples are averaged over as much
 constexpr double kSlowest = 0.09;   // [Hz] slowest rate of breathing
 constexpr double kFastest = 0.6;    // [Hz] fastest rate of breathing
-constexpr double kLeastSpan = 8;    // [s] of samples before a rate is believed
 constexpr double kPeriods = 1.9;    // in the samples before a rate is believed
 constexpr double kSweepStep = 0.2;  // periods in the span between two rates of the sweep
 constexpr double kAlias = 3;        // times the least residual that a faster rate may leave

@@ -11,15 +11,13 @@ constexpr double kLeastNoise = 5e-6;         // [m] rms; no tracker is better
 constexpr double kLeastRateNoise = 4e-4;     // [m/s] rms; trackers low-pass their velocities
 constexpr double kStartSpeed = 0.01;         // [m/s] standard deviation at the first sample
 constexpr double kStartAcceleration = 0.02;  // [m/s^2] standard deviation at the first sample
-constexpr double kGate = 5;              // standard deviations; beyond them a sample is an outlier
-constexpr double kLeastGate = 1e-3;      // [m] a pushed trocar leaves the model by as much
-constexpr double kRateGate = 0.005;      // [m/s] of a velocity, which is then not used
-constexpr double kBeside = 4;            // standard deviations of the step between two samples
-constexpr double kMemory = 2;            // [s] in which the filters are compared
-constexpr int kNoiseMemory = 100;        // samples of which the noise is estimated
-constexpr int kStatedNoise = 3;          // samples that the stated noise counts for
-constexpr double kThirdDifference = 20;  // variance of a third difference over that of a sample
-constexpr double kClip = 16;             // squared; a larger third difference is an outlier's
+constexpr double kGate = 5;          // standard deviations; beyond them a sample is an outlier
+constexpr double kLeastGate = 1e-3;  // [m] a pushed trocar leaves the model by as much
+constexpr double kRateGate = 0.005;  // [m/s] of a velocity, which is then not used
+constexpr double kBeside = 4;  // standard deviations of a difference of samples; beyond: an outlier
+constexpr double kMemory = 2;  // [s] in which the filters are compared
+constexpr int kNoiseMemory = 100;  // samples of which the noise is estimated
+constexpr int kStatedNoise = 3;    // samples that the stated noise counts for
 
 double squared(double x) { return x * x; }
 
@@ -58,9 +56,10 @@ void NoiseEstimate::add(const Vector3& sample, bool evenly) {
   if (!evenly) n_ = 0;
   if (n_ == 3) {
     const Vector3 difference = (sample - third_) - 2 * (third_ - second_) + (second_ - first_);
-    const double seen = difference.squaredNorm() / (3 * kThirdDifference);
+    // Of three axes; white noise gives 1 + 9 + 9 + 1 times the variance of a sample.
+    const double seen = difference.squaredNorm() / (3 * 20);
     known_ = std::min(known_ + 1, kNoiseMemory);
-    variance_ += (std::min(seen, kClip * variance_) - variance_) / known_;
+    variance_ += (std::min(seen, squared(kBeside) * variance_) - variance_) / known_;
   }
   first_ = second_;
   second_ = third_;
@@ -117,8 +116,7 @@ bool TrackFilter::add(const Vector3& p, const Vector3& v, double dt, bool evenly
 bool TrackFilter::expected(const Vector3& p, double variance) const {
   double miss = std::min((p - both_.p()).norm(), (p - positions_.p()).norm());
   if (breathing_.settled()) miss = std::min(miss, (p - breathing_.p()).norm());
-  const double gate = kGate * std::sqrt(positions_.position_variance() + variance);
-  return miss <= std::max(gate, kLeastGate);
+  return miss <= gate(std::sqrt(positions_.position_variance() + variance));
 }
 
 void TrackFilter::compare(const Vector3& p, double share) {
@@ -134,5 +132,7 @@ void TrackFilter::compare(const Vector3& p, double share) {
 double TrackFilter::velocity_deviation() const { return std::sqrt(best().velocity_variance()); }
 
 double TrackFilter::noise() const { return std::sqrt(position_noise_.variance()); }
+
+double TrackFilter::gate(double deviation) { return std::max(kGate * deviation, kLeastGate); }
 
 }  // namespace surg

@@ -8,7 +8,7 @@
 namespace surg {
 namespace {
 
-constexpr double kSlack = 2e-5;  // 2 pi with four decimals in one file and with nine in the other
+constexpr double kTurnRounding = 2e-5;  // 2 pi with four decimals in one file, nine in another
 
 std::string number(double value) {
   std::ostringstream text;
@@ -46,14 +46,14 @@ void check_limits(const std::vector<UrdfJoint>& joints, const RobotConfig& robot
                     key + " of joint '" + joint.name + "' is " + number(yaml) + ", but " + urdf +
                         " allows " + relation + " " + number(drawn) + ": tighten the YAML");
     };
-    if (joint.limit && !(robot.velocity[i] <= *joint.limit->velocity + kSlack)) {
+    if (joint.limit && !(robot.velocity[i] <= *joint.limit->velocity + kTurnRounding)) {
       loose("joints.velocity", robot.velocity[i], "<=", *joint.limit->velocity);
     }
     if (joint.kind == "revolute") {
-      if (!(robot.position_min[i] >= *joint.limit->lower - kSlack)) {
+      if (!(robot.position_min[i] >= *joint.limit->lower - kTurnRounding)) {
         loose("joints.position_min", robot.position_min[i], ">=", *joint.limit->lower);
       }
-      if (!(robot.position_max[i] <= *joint.limit->upper + kSlack)) {
+      if (!(robot.position_max[i] <= *joint.limit->upper + kTurnRounding)) {
         loose("joints.position_max", robot.position_max[i], "<=", *joint.limit->upper);
       }
     }

@@ -17,7 +17,7 @@ namespace {
 using files::Element;
 using files::refuse;
 
-constexpr double kShortestAxis = 1e-6;  // as written: a shorter one has no direction
+constexpr double kNoDirection = 1e-6;  // as written: a shorter one has no direction
 constexpr const char* kKinds[] = {"revolute", "continuous", "prismatic",
                                   "fixed",    "floating",   "planar"};
 
@@ -102,7 +102,7 @@ UrdfJoint read_joint(const Element& element, const std::string& file) {
   joint.X_PJ.linear() = rotation_of(joint.rpy);
   joint.X_PJ.translation() = joint.xyz;
   const Vector3 axis = files::vector_in(element.child("axis"), "xyz", Vector3::UnitX());
-  joint.axis = axis.norm() > kShortestAxis ? axis.normalized() : Vector3::Zero().eval();
+  joint.axis = axis.norm() > kNoDirection ? axis.normalized() : Vector3::Zero().eval();
   if (const Element* limit = element.child("limit")) {
     joint.limit = UrdfLimit{files::number_in(*limit, "lower"), files::number_in(*limit, "upper"),
                             files::number_in(*limit, "velocity")};

@@ -13,8 +13,6 @@ constexpr double kGap = 1.8;     // times the spacing: samples are missing
 constexpr double kSpacingShare = 0.1;  // of a new spacing in the usual one
 constexpr double kDeviations = 3;      // of the estimated velocity that may be noise
 constexpr double kNoisy = 1.5;         // times the stated noise; above it a tracker is noisy
-constexpr double kAgree = 1e-3;        // [m] between outliers that see the same point
-constexpr double kAgreeNoise = 5;      // times the noise: the same for a noisy tracker
 constexpr double kNear = 2e-3;         // [m] of the first sample; farther away it counts at once
 constexpr int kJump = 3;               // outliers in a row that see the same point
 
@@ -117,7 +115,7 @@ void Trocar::take(const TrackSample& sample, double since) {
 }
 
 void Trocar::count_outlier(const Vector3& p, double since) {
-  const double near = std::max(kAgree, kAgreeNoise * filter_.noise()) + kSpeed * since;
+  const double near = TrackFilter::gate(filter_.noise()) + kSpeed * since;
   const bool agrees = outliers_ > 0 && (p - p_outlier_).norm() <= near;
   outliers_ = agrees ? outliers_ + 1 : 1;
   p_outlier_ = p;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/limits/workspace.hpp"
+
 namespace surg {
 namespace {
 
@@ -18,7 +20,6 @@ constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for 
 constexpr double kReturnGain = 15;           // [1/s] speed over distance
 constexpr double kReturnAcceleration = 0.3;  // [m/s^2] of the return
 constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no visible joint motion
-constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // How an arm returns to its recorded trace, in joint space.
 constexpr double kRetraceReturn = 1.0;   // [rad/s^2] of the return

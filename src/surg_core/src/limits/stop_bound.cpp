@@ -8,7 +8,6 @@
 namespace surg {
 namespace {
 
-constexpr int kDelays = 3;          // delays that are tried: none, half of the most, the most
 constexpr int kNewest = 4;          // commands on their way that are tried as the last one
 constexpr int kApart = 4;           // [periods] between commands that have arrived and are tried
 constexpr double kPart = 0.5;       // of the time for which a command that has arrived is held
@@ -281,9 +280,9 @@ class Ways {
       Box pending{qd_.cwiseMin(u), qd_.cwiseMax(u)};
       for (int i = j; i <= delay_; ++i) pending.hold(sent_.ago(i));
       visit(to_the_end_, held_ * u - sum_[j] + 0.5 * behind, 0.5 * behind.cwiseAbs(),
-            Box{u, u}.towards(pending, std::exp(-held_ / lag_)), kDelays);
+            Box{u, u}.towards(pending, std::exp(-held_ / lag_)), waiting_.size());
       const Box sudden{qd_.cwiseMin(u), qd_.cwiseMax(u)};
-      visit(at_once_, -sum_[j], Joints::Zero(), sudden, kDelays);
+      visit(at_once_, -sum_[j], Joints::Zero(), sudden, waiting_.size());
     }
   }
 
@@ -319,12 +318,12 @@ class Ways {
   using Views = std::array<std::optional<View>, 2>;  // joints by themselves, or together
 
   /// One way: travel until the stop begins, with 'lag' either way, and the velocity then.
-  void visit(Views& to, const Joints& travel, const Joints& lag, const Box& v, int delays) {
+  void visit(Views& to, const Joints& travel, const Joints& lag, const Box& v, std::size_t delays) {
     for (const bool apart : {true, false}) {
       const auto [middle, half] = stopping(v, apart);
       View& view = *to[apart ? 0 : 1];
       view.take(half + lag);
-      for (int i = 0; i < delays; ++i) view.reach(travel + middle + waiting_[i]);
+      for (std::size_t i = 0; i < delays; ++i) view.reach(travel + middle + waiting_[i]);
     }
   }
 
@@ -349,8 +348,8 @@ class Ways {
   double T_, held_, lag_, lead_;
   int delay_, oldest_;  // [periods] of the link at most; of the commands that count
   Joints qd_, least_, most_;
-  std::array<Joints, kMost + 1> sum_;    // [rad] of the commands before the newest
-  std::array<Joints, kDelays> waiting_;  // [rad] of those that a delay has kept back
+  std::array<Joints, kMost + 1> sum_;  // [rad] of the commands before the newest
+  std::array<Joints, 3> waiting_;      // [rad] that the most delay, half of it, or none keeps back
   // Linear about the ends of likely ways: the newest command held to the end, a part of it, or not.
   Views to_the_end_, a_part_, at_once_;
 };

@@ -13,7 +13,6 @@ namespace surg {
 namespace {
 
 constexpr double kArrivedDistance = 5e-4;  // [m] from the target: a move has arrived
-constexpr double kArrivedRoll = 0.01;      // [rad] from the target
 constexpr double kHeldWithin = 0.75;       // [s] near one place at a limit; then it is given up
 constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no progress
 constexpr double kHeldRoll = 1e-3;         // [rad] of the set-point that is no progress
@@ -438,7 +437,7 @@ Reason CommandHandler::check_arrival(const TipPose& at) {
   settle_time_ += dt_;
   const bool arrived = (setpoint_.p_RTip() - at.p_RTip).norm() < kArrivedDistance &&
                        (p_goal_ - setpoint_.p_RTip()).norm() < kArrivedDistance &&
-                       std::abs(setpoint_.roll() - at.roll) < kArrivedRoll;
+                       std::abs(setpoint_.roll() - at.roll) < kArrivedDistance / kRollLever;
   if (arrived) {
     move_active_ = false;
   } else if (settle_time_ > kArriveWithin) {

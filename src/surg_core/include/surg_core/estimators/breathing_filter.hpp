@@ -28,9 +28,9 @@ class Overtones {
   double variance() const;                     ///< of the position per axis [m^2]
 
  private:
-  static constexpr int kFirst = Harmonics::kHarmonics + 1;  ///< first overtone
-  static constexpr int kLast = 24;                  ///< last overtone of the slowest breathing
-  static constexpr int kMost = kLast - kFirst + 1;  ///< overtones at most
+  static constexpr int kFirstOvertone = Harmonics::kHarmonics + 1;  ///< first overtone
+  static constexpr int kLast = 24;  ///< last overtone of the slowest breathing
+  static constexpr int kMost = kLast - kFirstOvertone + 1;  ///< overtones at most
 
   int n_ = 0;
   double rate_ = 0;                       // [rad/s]

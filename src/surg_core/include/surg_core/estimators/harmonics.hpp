@@ -27,6 +27,8 @@ struct Harmonics {
 /// rate (several while the motion is short), so that the work per call is bounded.
 class RateSearch {
  public:
+  static constexpr double kLeastSpan = 8;  ///< [s] of samples before a rate is believed
+
   struct Fit {
     double rate = 0;            // [rad/s]
     double variance = 0;        // [m^2] of the residual per axis

@@ -77,6 +77,8 @@ class TrackFilter {
   double velocity_deviation() const;
   /// Measured noise of the positions, rms per axis [m].
   double noise() const;
+  /// [m] up to which two places may be the same, for a standard deviation [m] between them.
+  static double gate(double deviation);
   /// The estimate is that of regular breathing.
   bool regular() const {
     return breathing_.settled() && miss_breathing_ < std::min(miss_both_, miss_positions_);

@@ -8,6 +8,7 @@
 namespace surg {
 
 constexpr double kApproachGain = 5.0;  ///< [1/s] speed towards an end over the distance left
+constexpr double kRollLever = 0.05;    ///< [m/rad] weighs roll against length
 
 /// How far [m] a tip position in the rcm frame lies outside depth_min..depth_max and the cone;
 /// negative: inside.
