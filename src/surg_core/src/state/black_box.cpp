@@ -9,6 +9,34 @@
 #include <utility>
 
 namespace surg {
+namespace {
+
+/// Makes a call, for the first time or again; what came back.
+Reason call(Controller& controller, const BlackBoxEvent& event) {
+  switch (event.kind) {
+    case BlackBoxEvent::Kind::kRequest:
+      return controller.request(event.state);
+    case BlackBoxEvent::Kind::kSetRcm:
+      return controller.set_rcm(event.p_BRcm);
+    case BlackBoxEvent::Kind::kFault:
+      controller.fault(event.reason);
+      break;
+    case BlackBoxEvent::Kind::kPause:
+      controller.pause(event.reason);
+      break;
+    case BlackBoxEvent::Kind::kClaim:
+      return controller.claim(event.source);
+    case BlackBoxEvent::Kind::kSetFixture:
+      return controller.set_fixture(event.fixture);
+    case BlackBoxEvent::Kind::kRemoveFixture:
+      return controller.remove_fixture(event.fixture.title());
+    case BlackBoxEvent::Kind::kCommand:
+      break;
+  }
+  return Reason::kNone;
+}
+
+}  // namespace
 
 // --- recording ---------------------------------------------------------------------------------
 
@@ -51,34 +79,33 @@ BlackBox::Block& BlackBox::room_for(int events) {
   return blocks_[present_];
 }
 
-Reason BlackBox::request(StateCommand command) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kRequest);
-  const Reason answer = controller_.request(command);
-  if (event) {
-    event->state = command;
-    event->answer = answer;
+/// Makes a call and notes it with its answer.
+Reason BlackBox::make(const BlackBoxEvent& event) {
+  BlackBoxEvent* noted = note(event.kind);
+  const Reason answer = call(controller_, event);
+  if (noted) {
+    *noted = event;
+    noted->answer = answer;
   }
   return answer;
+}
+
+Reason BlackBox::request(StateCommand command) {
+  BlackBoxEvent event{BlackBoxEvent::Kind::kRequest};
+  event.state = command;
+  return make(event);
 }
 
 Reason BlackBox::set_rcm(const Vector3& p_BRcm) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kSetRcm);
-  const Reason answer = controller_.set_rcm(p_BRcm);
-  if (event) {
-    event->p_BRcm = p_BRcm;
-    event->answer = answer;
-  }
-  return answer;
+  BlackBoxEvent event{BlackBoxEvent::Kind::kSetRcm};
+  event.p_BRcm = p_BRcm;
+  return make(event);
 }
 
 Reason BlackBox::set_fixture(const Fixture& fixture) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kSetFixture);
-  const Reason answer = controller_.set_fixture(fixture);
-  if (event) {
-    event->fixture = fixture;
-    event->answer = answer;
-  }
-  return answer;
+  BlackBoxEvent event{BlackBoxEvent::Kind::kSetFixture};
+  event.fixture = fixture;
+  return make(event);
 }
 
 Reason BlackBox::remove_fixture(std::string_view name) {
@@ -103,25 +130,21 @@ Reason BlackBox::change_tool(const InstrumentConfig& instrument, const ToolCalib
 }
 
 void BlackBox::fault(Reason reason) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kFault);
-  if (event) event->reason = reason;
-  controller_.fault(reason);
+  BlackBoxEvent event{BlackBoxEvent::Kind::kFault};
+  event.reason = reason;
+  make(event);
 }
 
 void BlackBox::pause(Reason reason) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kPause);
-  if (event) event->reason = reason;
-  controller_.pause(reason);
+  BlackBoxEvent event{BlackBoxEvent::Kind::kPause};
+  event.reason = reason;
+  make(event);
 }
 
 Reason BlackBox::claim(std::uint32_t source) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kClaim);
-  const Reason answer = controller_.claim(source);
-  if (event) {
-    event->source = source;
-    event->answer = answer;
-  }
-  return answer;
+  BlackBoxEvent event{BlackBoxEvent::Kind::kClaim};
+  event.source = source;
+  return make(event);
 }
 
 /// Room for a call that is about to be made; none while frozen.
@@ -222,7 +245,6 @@ class Coder {
     (value(values), ...);
   }
 
-  bool reading() const { return reading_; }
   const std::string& written() const { return written_; }
   bool at_end() const { return from_.empty(); }
 
@@ -578,31 +600,6 @@ BlackBoxDifference first_difference(std::size_t step, Outputs& recorded, Outputs
 /// Of each BlackBoxEvent::Kind, in order.
 constexpr const char* kKinds[] = {"request", "set_rcm", "fault",       "pause",
                                   "claim",   "command", "set_fixture", "remove_fixture"};
-
-/// Makes a call again; what came back.
-Reason call(Controller& controller, const BlackBoxEvent& event) {
-  switch (event.kind) {
-    case BlackBoxEvent::Kind::kRequest:
-      return controller.request(event.state);
-    case BlackBoxEvent::Kind::kSetRcm:
-      return controller.set_rcm(event.p_BRcm);
-    case BlackBoxEvent::Kind::kFault:
-      controller.fault(event.reason);
-      break;
-    case BlackBoxEvent::Kind::kPause:
-      controller.pause(event.reason);
-      break;
-    case BlackBoxEvent::Kind::kClaim:
-      return controller.claim(event.source);
-    case BlackBoxEvent::Kind::kSetFixture:
-      return controller.set_fixture(event.fixture);
-    case BlackBoxEvent::Kind::kRemoveFixture:
-      return controller.remove_fixture(event.fixture.title());
-    case BlackBoxEvent::Kind::kCommand:
-      break;
-  }
-  return Reason::kNone;
-}
 
 }  // namespace
 

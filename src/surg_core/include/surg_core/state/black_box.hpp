@@ -53,8 +53,8 @@ struct BlackBoxEvent {
   Reason answer = Reason::kNone;                ///< of a call that answers: what came back
   std::uint32_t source = 0;                     ///< kClaim
   Vector3 p_BRcm = Vector3::Zero();             ///< kSetRcm
-  MotionCommand command;                        ///< kCommand
-  Fixture fixture;                              ///< kSetFixture; kRemoveFixture: its name
+  MotionCommand command = {};                   ///< kCommand
+  Fixture fixture = {};                         ///< kSetFixture; kRemoveFixture: its name
 };
 
 /// Inputs and outputs of one step; its commands are events.
@@ -119,6 +119,7 @@ class BlackBox {
 
   bool recording_now();
   Block& room_for(int events);
+  Reason make(const BlackBoxEvent& event);
   BlackBoxEvent* note(BlackBoxEvent::Kind kind);
   void watch(State now, bool recorded);
 
