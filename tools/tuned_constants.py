@@ -20,7 +20,7 @@ NO_TUNING = {
     *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kRates"),
     *("kBlocks", "kBlockSteps", "kBlockEvents", "kPlaces", "kSamples", "kSlots", "kTerms", "kMost"),
     *("kAtOnce", "kExact", "kOnPath", "kTouching", "kSwings", "kFirstOvertone"),
-    *("kWallRounding", "kPeriodRounding", "kOnAxis", "kPivotReached"),
+    *("kWallRounding", "kPeriodRounding", "kOnAxis"),
     *("kMaxCommands", "kMaxOtherArms", "kMaxLinkCapsules", "kCapacity", "kJoints", "kUrJoints"),
     *("kNobody", "kAny"),
 }

@@ -62,7 +62,7 @@ TEST(Exact, ThePoseIsOnTheConstraintWithTipAndRollAsAsked) {
     // And the same from the four angles.
     const Pose X_BR = rcm_frame(scene.home.s_B, scene.p_BRcm);
     const Eigen::Vector2d angles = shaft_angles(X_BR.linear().transpose() * s);
-    const ShaftGoal goal = spherical_goal(X_BR, {angles[0], angles[1], depth, roll});
+    const ShaftGoal goal = test::spherical_goal(X_BR, {angles[0], angles[1], depth, roll});
     EXPECT_LT((pose_on_pivot(scene.home, scene.tool, goal).matrix() - X_BF.matrix())
                   .cwiseAbs()
                   .maxCoeff(),
@@ -79,9 +79,7 @@ TEST(Exact, RcmRowsAreTheDerivativeOfTheLateralError) {
   for (int i = 0; i < n; ++i) {
     Scene scene = random_scene(random);
     scene.p_BRcm += 0.002 * random_unit(random);
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(scene.q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(scene.q);
     const ShaftState shaft = shaft_state(X_BF, scene.tool, scene.p_BRcm);
     const RcmRows rows = rcm_rows(J, shaft);
     EXPECT_NEAR(rows.e.norm(), shaft.e.norm(), 1e-13);
@@ -109,9 +107,7 @@ TEST(Exact, TheCorrectionPutsTheShaftBackEvenAtASingularArm) {
     const Vector3 s = scene.chain.forward(scene.q).linear() * scene.tool.s_F;
     scene.p_BRcm = scene.chain.forward(scene.q) * scene.tool.p_FTip - 0.12 * s +
                    1e-5 * s.cross(random_unit(random));
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(scene.q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(scene.q);
     const JointStep step = rcm_correction(rcm_rows(J, shaft_state(X_BF, scene.tool, scene.p_BRcm)));
     ASSERT_GT(step.conditioning, 0);
     const double left =

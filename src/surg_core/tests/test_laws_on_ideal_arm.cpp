@@ -61,9 +61,7 @@ Vector3 wanted_velocity(const Scene& scene, double t) {
 
 Step velocity_law(const Scene& scene) {
   return [&scene](const JointVector& q, double t) -> JointVector {
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(q);
     const ShaftState shaft = shaft_state(X_BF, scene.tool, scene.p_BRcm());
     const Vector3 behind = scene.X_BR * test::lissajous(t) - shaft.p_BTip;
     const Vector3 v = wanted_velocity(scene, t) + kTipGain * behind;
@@ -76,9 +74,7 @@ Step velocity_law(const Scene& scene) {
 
 Step paper_law(const Scene& scene) {
   return [&scene](const JointVector& q, double t) -> JointVector {
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(q);
     const Vector3 p_tip = X_BF * scene.tool.p_FTip;
     return follow(scene, q, J,
                   paper_cartesian_twist(X_BF.translation(), p_tip, scene.p_BRcm(),
@@ -90,9 +86,7 @@ Step paper_law(const Scene& scene) {
 /// well as the right law does.
 Step swapped_law(const Scene& scene) {
   return [&scene](const JointVector& q, double t) -> JointVector {
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(q);
     const ShaftState shaft = shaft_state(X_BF, scene.tool, scene.p_BRcm());
     const Vector3 v = wanted_velocity(scene, t);
     const Vector3 r_ee = shaft.p_BF - shaft.p_BNear;
@@ -200,16 +194,14 @@ Vector4 virtual_joints(double t) {
 std::vector<Named> spherical_laws(const Scene& scene,
                                   const std::function<Vector4(double)>& joints) {
   const auto exact = [&scene, joints](const JointVector& q, double t) -> JointVector {
-    const ShaftGoal goal = spherical_goal(scene.X_BR, joints(t + kT));
+    const ShaftGoal goal = test::spherical_goal(scene.X_BR, joints(t + kT));
     return scene.next(q, goal, kT * pull(scene, q, kPosture));
   };
   const auto velocity = [&scene, joints](const JointVector& q, double t) -> JointVector {
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = scene.chain.flange(q);
     const ShaftState shaft = shaft_state(X_BF, scene.tool, scene.p_BRcm());
-    const ShaftGoal now = spherical_goal(scene.X_BR, joints(t));
-    const ShaftGoal soon = spherical_goal(scene.X_BR, joints(t + kT));
+    const ShaftGoal now = test::spherical_goal(scene.X_BR, joints(t));
+    const ShaftGoal soon = test::spherical_goal(scene.X_BR, joints(t + kT));
     const Vector3 v =
         (soon.p_BTip() - now.p_BTip()) / kT + kTipGain * (now.p_BTip() - shaft.p_BTip);
     const Vector3 s_dot = (v - shaft.s * shaft.s.dot(v) - kGain * shaft.e) / shaft.depth;
@@ -218,11 +210,9 @@ std::vector<Named> spherical_laws(const Scene& scene,
     return follow(scene, q, J, rcm_twist(shaft, v, about, Vector3::Zero(), kGain, 0.02));
   };
   const auto paper = [&scene, joints](const JointVector& q, double t) -> JointVector {
-    Pose X_BF;
-    Jacobian J;
-    scene.chain.forward(q, X_BF, J);
-    const ShaftGoal now = spherical_goal(scene.X_BR, joints(t));
-    const ShaftGoal soon = spherical_goal(scene.X_BR, joints(t + kT));
+    const auto [X_BF, J] = scene.chain.flange(q);
+    const ShaftGoal now = test::spherical_goal(scene.X_BR, joints(t));
+    const ShaftGoal soon = test::spherical_goal(scene.X_BR, joints(t + kT));
     const Vector3 omega = now.s_B.cross(Vector3(soon.s_B - now.s_B)) / kT;
     return follow(
         scene, q, J,
@@ -245,7 +235,7 @@ SphericalFigures run_spherical(const Scene& scene, const Step& step,
     q = step(q, i * kT);
     if (!q.allFinite()) break;
     const ShaftState shaft = scene.shaft(q);
-    const ShaftGoal goal = spherical_goal(scene.X_BR, joints((i + 1) * kT));
+    const ShaftGoal goal = test::spherical_goal(scene.X_BR, joints((i + 1) * kT));
     figures.rcm.add(shaft.e.norm());
     figures.tip.add((shaft.p_BTip - goal.p_BTip()).norm());
     figures.roll.add(std::remainder(scene.roll(q) - goal.roll, 2 * M_PI));

@@ -194,7 +194,7 @@ TEST(Profiler, ChangesOfMindKeepTheLimits) {
   Random random(3);
   const int count = test::family(300, 40000);
   Profiler profiler(kLimits, 0.5);
-  profiler.reset(Targets{0, 0, 0, 0});
+  profiler.reset(Dofs{});
   Tally tally;
   for (int k = 0; k < count; ++k) {
     Targets target;
@@ -226,7 +226,7 @@ TEST(Profiler, RestToRestTakesTheLeastDuration) {
                            std::sqrt(10 * D / (std::sqrt(3.0) * kLimits[i].acceleration)),
                            std::cbrt(60 * D / kLimits[i].jerk)});
     }
-    profiler.reset(Targets{0, 0, 0, 0});
+    profiler.reset(Dofs{});
     profiler.plan(target);
     worst = std::max(worst, std::abs(profiler.duration() / expected - 1));
     // It is the least: by the oracle, one part in a thousand less breaks a limit.
@@ -292,7 +292,7 @@ TEST(Profiler, InMotionTheScanHardlyMissesAShorterDuration) {
 
 TEST(Profiler, BaseDurationIsThePapers) {
   Profiler profiler(kLimits, 0.5);
-  profiler.reset(Targets{0, 0, 0, 0});
+  profiler.reset(Dofs{});
   profiler.plan({0.001, 0, 0, 0});
   EXPECT_EQ(profiler.duration(), 0.5);
   EXPECT_FALSE(profiler.done());
@@ -344,7 +344,7 @@ TEST(Profiler, AVelocityBeyondItsLimitIsNotMadeWorse) {
 
 TEST(Profiler, FixedDurationIsTakenAsItIs) {
   Profiler profiler(kLimits, 0.5);
-  profiler.reset(Targets{0, 0, 0, 0});
+  profiler.reset(Dofs{});
   profiler.plan_fixed({1.0, 0, 0, 0}, 0.5);  // far beyond the limits
   EXPECT_EQ(profiler.duration(), 0.5);
   EXPECT_GT(profiler.quintic(0).max_velocity(), 3.7);
@@ -352,7 +352,7 @@ TEST(Profiler, FixedDurationIsTakenAsItIs) {
 
 TEST(Profiler, IgnoresATargetThatIsNotFinite) {
   Profiler profiler(kLimits, 0.5);
-  profiler.reset(Targets{0, 0, 0, 0});
+  profiler.reset(Dofs{});
   profiler.plan({0.01, 0, 0, 0});
   profiler.advance(0.1);
   profiler.plan({0, NAN, 0, 0});

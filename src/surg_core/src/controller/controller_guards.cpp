@@ -6,11 +6,10 @@
 namespace surg {
 namespace {
 
-constexpr double kFollowDistance =
-    0.01;                                // [m] expected to measured tip; beyond it the arm is stuck
-constexpr double kToolTimeout = 0.2;     // [s] without a jaw state (F31)
-constexpr double kDampedLoop = 0.7;      // gain times delay of a loop that is well damped
-constexpr double kVelocitySlack = 0.05;  // [rad/s] noise of measured velocities
+constexpr double kFollowDistance = 0.01;  // [m] expected to measured tip; beyond it: stuck
+constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
+constexpr double kDampedLoop = 0.7;       // gain times delay of a loop that is well damped
+constexpr double kVelocitySlack = 0.05;   // [rad/s] noise of measured velocities
 constexpr double kSofter = 4;  // times the excess of the cycles: streams are followed as softly
 constexpr double kStatusPeriods = 0.04;  // [s] two periods of robot/status: joint states end first
 constexpr double kOutside = 0.02;        // [rad] a lagging joint may be beyond its limit
@@ -251,19 +250,9 @@ void Controller::Impl::guard_force(const Inputs& in) {
       force.judge(in.tip_force, in.trocar_force, T, clock.periods());
   out.warn_force = force.warns();
   if (verdict == ForceGuard::Verdict::kFade) fade();  // also ends a ramp
-  if (!enabled()) return;
-  switch (verdict) {
-    case ForceGuard::Verdict::kFree:
-    case ForceGuard::Verdict::kYield:
-      break;
-    case ForceGuard::Verdict::kPause:
-      pause(Reason::kForce);
-      break;
-    case ForceGuard::Verdict::kStop:
-    case ForceGuard::Verdict::kFade:
-      fault(Reason::kForce);
-      break;
-  }
+  if (verdict == ForceGuard::Verdict::kPause) pause(Reason::kForce);
+  const bool stops = verdict == ForceGuard::Verdict::kStop || verdict == ForceGuard::Verdict::kFade;
+  if (stops && enabled()) fault(Reason::kForce);
 }
 
 void Controller::Impl::gate(const Inputs& in) {

@@ -9,8 +9,7 @@ namespace surg {
 namespace {
 
 constexpr double kStandstillScale = 0.05;  // alpha below it counts as stopped by a limit
-constexpr double kHoldNamed =
-    0.1;  // [s] behind a cycle that was held: the clock restarts meanwhile
+constexpr double kHoldNamed = 0.1;         // [s] behind a held cycle: the clock restarts meanwhile
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
 constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint of `rcm/retrace`
 constexpr double kOffPath = 1e-6;       // [m] of the reference's tip beside its set-point
@@ -281,19 +280,15 @@ JointVector Controller::Impl::clear_posture(const JointVector& q,
   const double share = clearance.posture_share(out.clearance);
   if (!(share < 1) || posture.size() != q.size()) return posture;
   constexpr double kAhead = 0.01;  // [s] over which the null space's motion is judged
-  Pose X_BF;
-  Jacobian J;
-  arm.chain().forward(q, X_BF, J);
+  const Jacobian J = arm.chain().flange(q).J;
   const JointVector qd = inverse_velocity(J, Vector6::Zero(), posture).qd;
   const bool closes = clearance.distance(q + kAhead * qd) < clearance.distance(q);
   return closes ? JointVector(share * posture) : posture;
 }
 
 void Controller::Impl::resync_setpoint(const JointVector& qd) {
-  Pose X_BF;
-  Jacobian J;
-  arm.chain().forward(
-      law == Law::kExact ? follower.reference() : JointVector(arm.predicted().q + T * qd), X_BF, J);
+  const auto [X_BF, J] = arm.chain().flange(
+      law == Law::kExact ? follower.reference() : JointVector(arm.predicted().q + T * qd));
   const Vector3 p_BTip = X_BF * arm.tool().p_FTip;
   const Vector6 twist = J * qd;
   const Vector3 v_BTip =

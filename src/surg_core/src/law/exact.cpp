@@ -22,11 +22,6 @@ ShaftGoal tip_goal(const Vector3& p_BRcm, const Vector3& p_BTip, double roll,
   return {p_BRcm, d / depth, depth, roll};
 }
 
-ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints) {
-  return {X_BR.translation(), X_BR.linear() * shaft_direction(virtual_joints[0], virtual_joints[1]),
-          virtual_joints[2], virtual_joints[3]};
-}
-
 Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal) {
   const Matrix3 swing = minimal_rotation(home.s_B, goal.s_B);
   Pose X_BF = Pose::Identity();

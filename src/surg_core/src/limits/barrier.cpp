@@ -17,14 +17,12 @@ Vector3 moment(const Jacobian& J, int i) { return J.col(i).head<3>(); }
 }  // namespace
 
 Barrier::Barrier(const Chain& chain) {
-  like_ur_ = false;
   if (chain.dof() != 6) return;
   // A configuration in which no two of the axes meet by chance.
   JointVector q(6);
   q << 0.3, -1.1, 1.3, -0.7, 1.2, 0.4;
-  Pose X_BF;
-  Jacobian J;
-  chain.forward(q, X_BF, J);
+  const Chain::Flange flange = chain.flange(q);
+  const Jacobian& J = flange.J;
   const Vector3 z1 = axis(J, 0), z2 = axis(J, 1), z5 = axis(J, 4), z6 = axis(J, 5);
   const bool parallel = z2.cross(axis(J, 2)).norm() < kParallel &&
                         z2.cross(axis(J, 3)).norm() < kParallel &&
@@ -46,9 +44,8 @@ Barrier::Barrier(const Chain& chain) {
   const Vector3 gap = nearest(4) - nearest(5);
   const double t = gap.dot(z6);  // z5 is square to z6
   const Vector3 wrist = nearest(5) + t * z6;
-  p_FWrist_ = X_BF.linear().transpose() * wrist;
-  const Vector3 p_wrist = wrist;
-  d4_ = std::abs((p_wrist - nearest(0)).dot(z2));
+  p_FWrist_ = flange.X_BF.linear().transpose() * wrist;
+  d4_ = std::abs((wrist - nearest(0)).dot(z2));
   const Vector3 upper = moment(J, 1) - moment(J, 2), lower = moment(J, 2) - moment(J, 3);
   a2_a3_ = upper.norm() * lower.norm();
 }

@@ -3,8 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "limits/segment.hpp"
-
 namespace surg {
 namespace {
 

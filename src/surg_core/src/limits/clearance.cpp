@@ -87,6 +87,8 @@ struct Placed {
 struct Twists {
   template <typename Axes>
   Twists(const Axes& axis, const Axes& origin, const JointVector& qd) {
+    omega.fill(Vector3::Zero());
+    v0.fill(Vector3::Zero());
     for (Eigen::Index i = 0; i < qd.size(); ++i) {
       omega[i + 1] = omega[i] + qd[i] * axis[i];
       v0[i + 1] = v0[i] + qd[i] * origin[i].cross(axis[i]);
@@ -100,14 +102,7 @@ struct Twists {
     return std::sqrt(std::max(at(joint, c.a).squaredNorm(), at(joint, c.b).squaredNorm()));
   }
 
-  std::array<Vector3, kMaxJoints + 1> omega = zeros(), v0 = zeros();
-
- private:
-  static std::array<Vector3, kMaxJoints + 1> zeros() {
-    std::array<Vector3, kMaxJoints + 1> all;
-    all.fill(Vector3::Zero());
-    return all;
-  }
+  std::array<Vector3, kMaxJoints + 1> omega, v0;
 };
 
 }  // namespace

@@ -2,20 +2,14 @@
 
 #include <algorithm>
 #include <cctype>
-#include <cstdio>
 
-#include "limits/segment.hpp"
+#include "config/document_reader.hpp"
+#include "surg_core/limits/capsule.hpp"
 
 namespace surg {
 namespace {
 
 constexpr double kOnAxis = 1e-9;  // [m] a point on the axis or at the centre
-
-std::string to_text(double value) {
-  char text[32];
-  std::snprintf(text, sizeof text, "%.6g", value);
-  return text;
-}
 
 /// Share of the shaft, from the trocar at the origin to the tip, that is nearest to the segment.
 double nearest_on_shaft(const Vector3& tip, const Vector3& from, const Vector3& axis) {
@@ -48,12 +42,12 @@ std::string check_fixture(Fixture& f) {
   });
   if (!word) return "name is '" + std::string(title) + "'; allowed are letters, digits and _";
   const auto far = [](const Vector3& p) { return !(p.array().abs() <= Fixture::kFarthest).all(); };
-  const std::string farthest = to_text(Fixture::kFarthest) + " m";
+  const std::string farthest = config::number(Fixture::kFarthest) + " m";
   if (far(f.point)) return "a coordinate is not finite or beyond " + farthest + " of the base";
   if (f.shape == Fixture::Shape::kPlane) {
     const double length = f.axis.norm();
     if (!(std::abs(length - 1) <= 1e-3)) {
-      return "normal has length " + to_text(length) + "; a unit vector is needed";
+      return "normal has length " + config::number(length) + "; a unit vector is needed";
     }
     f.axis /= length;
     f.radius = 0;
@@ -63,8 +57,8 @@ std::string check_fixture(Fixture& f) {
     const bool hollow = f.side == Fixture::Side::kStayIn;
     const double least = hollow ? Fixture::kLeastHollow : Fixture::kLeastRadius;
     if (!(f.radius >= least && f.radius <= Fixture::kGreatestRadius)) {
-      return "radius " + to_text(f.radius) + " m is out of range; allowed is " + to_text(least) +
-             " to " + to_text(Fixture::kGreatestRadius) + " m";
+      return "radius " + config::number(f.radius) + " m is out of range; allowed is " +
+             config::number(least) + " to " + config::number(Fixture::kGreatestRadius) + " m";
     }
   }
   if (f.of == Fixture::Of::kShaft && f.side == Fixture::Side::kStayIn) {

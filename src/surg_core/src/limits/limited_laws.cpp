@@ -8,7 +8,6 @@
 namespace surg {
 namespace {
 
-constexpr double kOnPivot = 1e-12;      // [m]
 constexpr double kExact = 1e-15;        // [m] left on the pivot: not worth a look
 constexpr double kOnPath = 1e-9;        // [m, rad] beside the path: taken back at once
 constexpr double kNearlyFull = 0.98;    // of the clock's rate: the whole cycle's secant, bent back
@@ -48,9 +47,7 @@ double LimitedStep::Affine::expected(const Joints& qd_last, double T) const {
 /// as long as the arc itself has left the path or is at its end.
 bool LimitedStep::Law::pose_node(const Joints& guess, const Pose& pose, const Pose& later,
                                  double arc, Node& node) const {
-  Pose X;
-  Jacobian J;
-  self_.chain_.forward(guess, X, J);
+  const auto [X, J] = self_.chain_.flange(guess);
   Vectors6<2> twists;
   twists.col(0) = displacement(X, pose);
   twists.col(1) = (displacement(X, later) - twists.col(0)) / kTwistSpacing;
@@ -65,9 +62,7 @@ bool LimitedStep::Law::pose_node(const Joints& guess, const Pose& pose, const Po
 }
 
 RcmRows LimitedStep::Law::rows_after(const Joints& qd, const Vector3& p_BRcm) const {
-  Pose X;
-  Jacobian J;
-  self_.chain_.forward(here_.q + self_.T_ * qd, X, J);
+  const auto [X, J] = self_.chain_.flange(here_.q + self_.T_ * qd);
   RcmRows rows = rcm_rows(J, shaft_state(X, self_.tool_, p_BRcm));
   rows.e /= self_.T_;
   return rows;
@@ -158,9 +153,7 @@ Joints LimitedStep::ExactLaw::finish(const Affine&, double alpha, double beta,
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
   Joints q = here_.q + T * qd;
-  Pose X;
-  Jacobian J;
-  self_.chain_.forward(q, X, J);
+  const auto [X, J] = self_.chain_.flange(q);
   const double t = alpha * T;
   const Vector6 to_path = displacement(X, pose(t, keep));
   // What Newton's method leaves is of second order.
@@ -183,8 +176,7 @@ Joints LimitedStep::ExactLaw::finish(const Affine&, double alpha, double beta,
   }
   // The pivot's own rows: well conditioned even where J is singular.
   for (int pass = 0; pass < 2; ++pass) {
-    X = self_.chain_.forward(q);
-    const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm());
+    const ShaftState shaft = shaft_state(self_.chain_.forward(q), self_.tool_, p_BRcm());
     if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
     q += padded(rcm_correction(rcm_rows(J, shaft)).dq);
   }
@@ -297,18 +289,14 @@ bool LimitedStep::RetraceLaw::node(double t, const Joints&, double, Node& node) 
   node.q = on_pivot(padded(trace_.at(back_ + rate_ * t)));
   node.direction =
       (on_pivot(padded(trace_.at(back_ + rate_ * (t + kTraceSpacing)))) - node.q) / kTraceSpacing;
-  Pose X;
-  Jacobian J;
-  self_.chain_.forward(node.q, X, J);
+  const auto [X, J] = self_.chain_.flange(node.q);
   node.flange = flange_twist(J, node.direction).head<3>().norm();
   return true;
 }
 
 Joints LimitedStep::RetraceLaw::on_pivot(Joints q) const {
   for (int pass = 0; pass < 3; ++pass) {
-    Pose X;
-    Jacobian J;
-    self_.chain_.forward(q, X, J);
+    const auto [X, J] = self_.chain_.flange(q);
     const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm_);
     if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
     q += padded(rcm_correction(rcm_rows(J, shaft)).dq);

@@ -12,6 +12,7 @@ namespace surg {
 
 constexpr double kTwistSpacing = 1e-4;     ///< [s] of the clock, for a path's direction
 constexpr double kPlanAcceleration = 0.8;  ///< of the limits: the step keeps reserves to follow
+constexpr double kOnPivot = 1e-12;         ///< [m]
 constexpr double kFirstArc = 0.002;        ///< [rad] to the first node, and beside a guess, at most
 
 inline double largest(const Joints& v) { return v.cwiseAbs().maxCoeff(); }
@@ -131,8 +132,8 @@ class LimitedStep::ExactLaw : public Law {
   Inverse inverse_;  ///< of the Jacobian here
   Vector3 p_BRcm_;
   Vector6 to_0_;  ///< flange's displacement to the path now, of which 'keep_' is left
-  Vector3 off_swing_ =
-      Vector3::Zero();  ///< the tip's displacement off its path: of the shaft, as rotation vector
+  /// The tip's displacement off its path: of the shaft, as rotation vector; of depth and roll.
+  Vector3 off_swing_ = Vector3::Zero();
   double off_depth_ = 0, off_roll_ = 0;
   double keep_ = 0;  ///< share of it that is left after this cycle
   bool returning_ = false;

@@ -11,22 +11,16 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 5;               // of interval, step and check
-constexpr int kRowPasses = 4;            // of the pivot's rows off the path
-constexpr double kPivotReached = 1e-12;  // [m]
-constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
-constexpr double kRoomUsed = 0.9;        // of the way back that the linear picture has room for
-constexpr double kInside = 1e-3;         // of alpha's interval, kept from its upper end: rounding
-constexpr double kStill = 1e-4;          // share of a joint's velocity limit that is no motion
-constexpr double kSagitta = 0.42e-6;     // [m] off the pivot between two samples
-constexpr double kSlightBend = 0.25;     // of the bend that caps alpha: less needs no node
-constexpr double kLongSecant = 0.9;      // of the cycle: a secant as long shows the path's bend
-constexpr double kNearSingular = 0.3;    // of a measure: farther away the barrier has no word
-
-double flange_speed(const Jacobian& J, const Joints& qd) {
-  const Vector6 twist = flange_twist(J, qd);
-  return twist.head<3>().norm();
-}
+constexpr int kPasses = 5;             // of interval, step and check
+constexpr int kRowPasses = 4;          // of the pivot's rows off the path
+constexpr double kRowsKept = 1e-9;     // [m] more than this off the pivot counts as leaving it
+constexpr double kRoomUsed = 0.9;      // of the way back that the linear picture has room for
+constexpr double kInside = 1e-3;       // of alpha's interval, kept from its upper end: rounding
+constexpr double kStill = 1e-4;        // share of a joint's velocity limit that is no motion
+constexpr double kSagitta = 0.42e-6;   // [m] off the pivot between two samples
+constexpr double kSlightBend = 0.25;   // of the bend that caps alpha: less needs no node
+constexpr double kLongSecant = 0.9;    // of the cycle: a secant as long shows the path's bend
+constexpr double kNearSingular = 0.3;  // of a measure: farther away the barrier has no word
 
 /// Lateral vector e'' of the shaft for the flange's twist and acceleration.
 Vector3 lateral_acceleration(const ShaftState& shaft, const Vector6& twist, const Vector6& bias) {
@@ -107,14 +101,12 @@ Step LimitedStep::run_with_room(const Law& law, const Here& here) const {
   Step step;
   const bool found = on_path(law, affine, box, most, step);
   // On the path the joints may not be able to brake as hard as the flange needs it.
-  const bool too_fast = found && flange_speed(here.J, padded(step.qd)) > here.flange_velocity;
+  const bool too_fast =
+      found && flange_twist(here.J, padded(step.qd)).head<3>().norm() > here.flange_velocity;
   if (!found || too_fast) off_path(law, here, affine, box, most, too_fast, step);
-  step.held = affine.moves && step.alpha < 1 && is_still(step.qd);
+  const bool still = (step.qd.array().abs() < kStill * limits_.velocity.array()).all();
+  step.held = affine.moves && step.alpha < 1 && still;
   return step;
-}
-
-bool LimitedStep::is_still(const JointVector& qd) const {
-  return (qd.array().abs() < kStill * limits_.velocity.array()).all();
 }
 
 // --- caps of alpha ----------------------------------------------------------------------------
@@ -178,9 +170,7 @@ void LimitedStep::cap_approach(const Here& here, const Affine& affine, Cap& cap)
   for (int i = 0; i < now.n; ++i) closest = std::min(closest, std::abs(now.phi[i]));
   if (!(closest < kNearSingular)) return;
   const double h = 1e-5 / std::max(largest(affine.qd1), 1e-9);
-  Pose X;
-  Jacobian J;
-  chain_.forward(here.q + h * affine.qd1, X, J);
+  const auto [X, J] = chain_.flange(here.q + h * affine.qd1);
   const SingularityMeasures soon = barrier_.measures(X, J);
   for (int i = 0; i < now.n; ++i) {
     const double rate = (std::abs(soon.phi[i]) - std::abs(now.phi[i])) / h;
@@ -318,7 +308,7 @@ bool LimitedStep::on_rows(const Law& law, const Box& box, const JointVector& wan
   double left = INFINITY;
   for (int pass = 0; pass < kRowPasses; ++pass) {
     RcmRows rows = law.rows(padded(qd));
-    if (pass > 0 && rows.e.norm() * T_ < kPivotReached) return true;
+    if (pass > 0 && rows.e.norm() * T_ < kOnPivot) return true;
     // Rows that hold at 'qd', written for 'wanted'.
     for (Eigen::Index i = 0; i < qd.size(); ++i) {
       rows.e[0] += rows.J(0, i) * (qd[i] - wanted[i]);

@@ -34,8 +34,8 @@ class LimitedStep::LookAhead {
   // The joints' limits; places without a joint bind nothing.
   Joints acceleration_ = Joints::Ones(), velocity_ = Joints::Constant(INFINITY);
   Joints position_min_ = Joints::Constant(-INFINITY), position_max_ = Joints::Constant(INFINITY);
-  Joints far_ =
-      Joints::Zero();  ///< acceleration times the distance from which a limit says nothing
+  /// Acceleration times the distance from which a limit says nothing.
+  Joints far_ = Joints::Zero();
   double horizon_;
   int last_ = 0, planned_ = 0;                     ///< index of the last node; 0 is here
   std::array<double, kNodes + 1> t_{}, square_{};  ///< [s] of the clock; its largest squared speed

@@ -156,9 +156,7 @@ class FarthestShaft {
 /// The arm at one posture: columns of the flange's Jacobian.
 struct Posture {
   Posture(const Chain& chain, const Joints& q, const StopEstimator::Now& now) {
-    Pose X_BF;
-    Jacobian J;
-    chain.forward(JointVector(q.head(chain.dof())), X_BF, J);
+    const auto [X_BF, J] = chain.flange(JointVector(q.head(chain.dof())));
     p_BF = X_BF.translation();
     p_BTip = X_BF * now.tool.p_FTip;
     s = X_BF.linear() * now.tool.s_F;

@@ -195,25 +195,13 @@ void CommandHandler::give_roll_to_drive(MotionCommand& command) const {
 }
 
 void CommandHandler::move_wrist(const MotionCommand& command) {
-  switch (command.motion) {
-    case Motion::kServoCp:
-    case Motion::kServoJp:
-    case Motion::kServoJr:
-      wrist_.stream(command.wrist, stream_age(command), command.stamp_ns);
-      break;
-    case Motion::kServoCv:
-    case Motion::kServoJv:
-      wrist_.set_velocity(command.wrist);
-      break;
-    case Motion::kInterpolateCp:
-    case Motion::kMoveCp:
-    case Motion::kInterpolateJp:
-    case Motion::kMoveJp:
-    case Motion::kMoveJr:
-      wrist_.move_to(command.wrist);
-      break;
-    default:
-      break;
+  const Motion motion = command.motion;
+  if (motion == Motion::kServoCv || motion == Motion::kServoJv) {
+    wrist_.set_velocity(command.wrist);
+  } else if (is_servo(motion)) {
+    wrist_.stream(command.wrist, stream_age(command), command.stamp_ns);
+  } else if (has_target(motion)) {
+    wrist_.move_to(command.wrist);
   }
 }
 
@@ -392,13 +380,10 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   newest_ = {hand, roll, command.wrist};
   newest_counts_ = true;
   sliding_ = slides;
-  const double age = stream_age(command);
-  if (cartesian) {
-    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age,
-                                command.stamp_ns);
-  } else {
-    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), age, command.stamp_ns);
-  }
+  Vector4 target = joints;
+  if (cartesian) target << p, roll;
+  setpoint_.add_stream_sample(cartesian ? Space::kCartesian : Space::kSpherical, to_array(target),
+                              stream_age(command), command.stamp_ns);
   return Reason::kNone;
 }
 

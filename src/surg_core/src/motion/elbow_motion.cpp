@@ -76,9 +76,7 @@ Reason ElbowMotion::go_to(double angle, const JointVector& q, int& by) {
       return Reason::kNone;
     }
     const JointVector next = here.q + std::clamp(left, -kWalk, kWalk) * here.turn.per_angle;
-    Pose X_BF;
-    Jacobian J;
-    chain_.forward(next, X_BF, J);
+    const auto [X_BF, J] = chain_.flange(next);
     const Inverse inverse(J);
     here = at(next + inverse(displacement(X_BF, X_BFGoal)).head(next.size()));
   }
@@ -105,36 +103,22 @@ void ElbowMotion::limit_joints(const Here& here, Range& range) const {
     double up = kGain * (limits_.position_max[i] - here.q[i]) / share;
     double down = kGain * (here.q[i] - limits_.position_min[i]) / share;
     if (here.turn.per_angle[i] < 0) std::swap(up, down);
-    if (up < range.high) {
-      range.high = up;
-      range.high_by = i;
-    }
-    if (-down > range.low) {
-      range.low = -down;
-      range.low_by = i;
-    }
+    range.limit_up(up, i);
+    range.limit_down(down, i);
   }
 }
 
 void ElbowMotion::limit_approach(const Here& here, Range& range) const {
   const double h = 1e-4 / here.turn.per_angle.cwiseAbs().maxCoeff();
-  Pose X_BF;
-  Jacobian J;
-  chain_.forward(JointVector(here.q + h * here.turn.per_angle), X_BF, J);
+  const auto [X_BF, J] = chain_.flange(JointVector(here.q + h * here.turn.per_angle));
   const SingularityMeasures now = barrier_.measures(here.X_BF, here.J);
   const SingularityMeasures soon = barrier_.measures(X_BF, J);
   for (int i = 0; i < now.n; ++i) {
     const double slope = (std::abs(soon.phi[i]) - std::abs(now.phi[i])) / h;
     if (std::abs(slope) < 1e-9) continue;
     const double allowed = barrier_.fastest_approach(now.phi[i]) / std::abs(slope);
-    if (slope < 0 && allowed < range.high) {
-      range.high = allowed;
-      range.high_by = chain_.dof();
-    }
-    if (slope > 0 && -allowed > range.low) {
-      range.low = -allowed;
-      range.low_by = chain_.dof();
-    }
+    if (slope < 0) range.limit_up(allowed, chain_.dof());
+    if (slope > 0) range.limit_down(allowed, chain_.dof());
   }
 }
 

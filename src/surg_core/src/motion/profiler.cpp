@@ -51,12 +51,6 @@ bool can_keep(const Kinematic& state, const DofLimits& limits) {
 Profiler::Profiler(const std::array<DofLimits, kDof>& limits, double base_duration)
     : limits_(limits), base_duration_(base_duration) {}
 
-void Profiler::reset(const std::array<double, kDof>& x) {
-  std::array<Kinematic, kDof> state;
-  for (int i = 0; i < kDof; ++i) state[i] = {x[i], 0, 0};
-  reset(state);
-}
-
 void Profiler::reset(const std::array<Kinematic, kDof>& state) {
   state_ = state;
   t_ = 0;

@@ -86,8 +86,6 @@ Kinematic StreamDelay::predict(double ahead) const {
           state_.a};
 }
 
-void StreamFilter::reset(const Kinematic& state) { state_ = state; }
-
 void StreamFilter::step(const Kinematic& target, double T, double period, const Kinematic* ahead) {
   if (!(T > 0) || !(limits_.velocity > 0)) return;
   const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;

@@ -8,8 +8,7 @@ namespace {
 
 /// [s] in which a stream may have moved since its last accepted sample.
 double step_time(const Limits& limits, bool begins, double since) {
-  const double dt = begins ? 0.0 : std::min(since, limits.step_dt_max);
-  return dt;
+  return begins ? 0.0 : std::min(since, limits.step_dt_max);
 }
 
 }  // namespace

@@ -10,6 +10,7 @@
 #include "surg_core/config.hpp"
 #include "surg_core/controller.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/law/exact.hpp"
 
 namespace surg::test {
 
@@ -109,6 +110,12 @@ inline JointVector panda_velocity() {
 }
 inline JointVector panda_acceleration() {
   return (JointVector(7) << 15, 7.5, 10, 12.5, 15, 20, 20).finished();
+}
+
+/// The goal (yaw, pitch, insertion, roll) in the trocar frame (docs/reference/conventions.md).
+inline ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& joints) {
+  return {X_BR.translation(), X_BR.linear() * shaft_direction(joints[0], joints[1]), joints[2],
+          joints[3]};
 }
 
 inline InstrumentConfig instrument() { return {"", "grasper", "", "", "", 0.0, 1.0, 3.0}; }

@@ -36,6 +36,16 @@ class Chain {
   Pose forward(const JointVector& q) const;
   /// X_BF and the geometric Jacobian of the flange origin, rows v then omega, in B.
   void forward(const JointVector& q, Pose& X_BF, Jacobian& J) const;
+  /// The same as values.
+  struct Flange {
+    Pose X_BF;
+    Jacobian J;
+  };
+  Flange flange(const JointVector& q) const {
+    Flange out;
+    forward(q, out.X_BF, out.J);
+    return out;
+  }
 
  private:
   struct Frames;

@@ -28,8 +28,6 @@ struct ShaftGoal {
 /// then 'otherwise', at depth 0.
 ShaftGoal tip_goal(const Vector3& p_BRcm, const Vector3& p_BTip, double roll,
                    const Vector3& otherwise);
-/// The goal (yaw, pitch, insertion, roll) in the trocar frame (docs/reference/conventions.md).
-ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints);
 
 /// X_BF on the constraint by construction: R = minimal_rotation(s_home, s) exp(psi s_home) R_home,
 /// and the origin from the tip. The roll cannot drift, whatever path the tip takes.

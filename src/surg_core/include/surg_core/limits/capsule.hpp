@@ -2,6 +2,7 @@
 // capsule is every point within 'radius' of a segment.
 #pragma once
 
+#include <algorithm>
 #include <array>
 
 #include "surg_core/types.hpp"
@@ -26,6 +27,13 @@ struct Gap {
   Vector3 away = Vector3::UnitZ();    ///< unit vector from the second to the first
   double distance = 0;                ///< [m] between the surfaces; negative: they overlap
 };
+
+/// Share in [0, 1] of the segment from 'from' along 'along' at which it is nearest to p; 0 for a
+/// segment without length.
+inline double nearest_share(const Vector3& from, const Vector3& along, const Vector3& p) {
+  const double squared = along.squaredNorm();
+  return squared > 0 ? std::clamp(along.dot(p - from) / squared, 0.0, 1.0) : 0.0;
+}
 
 /// The places where two capsules can be closest: between the insides of the segments first, then at
 /// each of the four ends. The smallest of them is the distance. A guard must watch all of them:

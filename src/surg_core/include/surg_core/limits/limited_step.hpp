@@ -134,7 +134,6 @@ class LimitedStep {
           const JointVector& room = {}) const;
   Step run(const Law& law, const Here& here) const;
   Step run_with_room(const Law& law, const Here& here) const;
-  bool is_still(const JointVector& qd) const;
 
   Cap cap(const Law& law, const Here& here, const Affine& affine) const;
   void cap_sagitta(const Law& law, const Here& here, const Affine& affine, Cap& cap) const;

@@ -54,6 +54,12 @@ inline bool is_servo(Motion motion) {
          motion == Motion::kServoCv || motion == Motion::kServoJv;
 }
 
+/// Whether the command leads to rest at a target that it states.
+inline bool has_target(Motion motion) {
+  return motion == Motion::kInterpolateCp || motion == Motion::kMoveCp ||
+         motion == Motion::kInterpolateJp || motion == Motion::kMoveJp || motion == Motion::kMoveJr;
+}
+
 /// Whether the command moves the jaw only.
 inline bool is_jaw(Motion motion) {
   return motion == Motion::kJawServoJp || motion == Motion::kJawMoveJp;

@@ -56,6 +56,16 @@ class ElbowMotion {
   struct Range {
     double low, high;
     int low_by, high_by;
+    void limit_up(double fastest, int by) {
+      if (!(fastest < high)) return;
+      high = fastest;
+      high_by = by;
+    }
+    void limit_down(double fastest, int by) {
+      if (!(-fastest > low)) return;
+      low = -fastest;
+      low_by = by;
+    }
   };
   struct Here;
   Here at(const JointVector& q) const;

@@ -19,8 +19,6 @@ class Profiler {
   /// All of them are positive.
   Profiler(const std::array<DofLimits, kDof>& limits, double base_duration);
 
-  /// Resets to rest at x.
-  void reset(const std::array<double, kDof>& x);
   /// Starts from any state (for example the stream's), so that a change of mode is continuous.
   void reset(const std::array<Kinematic, kDof>& state);
   /// Plans from the present state to rest at the target. A start in motion can overshoot both ends

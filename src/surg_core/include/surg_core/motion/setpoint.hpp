@@ -134,7 +134,6 @@ class Setpoint {
   /// Yaw, pitch, insertion, roll.
   Vector4 joints() const;
   double roll() const { return dofs_[3].x; }
-  double roll_rate() const { return dofs_[3].v; }
 
  private:
   /// Of four degrees of freedom in the present space.

@@ -35,7 +35,7 @@ class StreamFilter {
   StreamFilter() = default;
   /// All limits are positive.
   explicit StreamFilter(const DofLimits& limits) : limits_(limits) {}
-  void reset(const Kinematic& state);
+  void reset(const Kinematic& state) { state_ = state; }
   /// One tick of T seconds towards a target predicted one tick ahead. Never exceeds the velocity,
   /// acceleration and jerk limits. Comes to rest if the target is not finite. period [s]: at which
   /// ticks come, if they are longer than T; then the gains are lower. ahead: of a delayed target,
