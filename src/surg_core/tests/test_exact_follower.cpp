@@ -158,9 +158,7 @@ TEST(ExactFollower, APullBackKeepsTheFlangesSpeedAndTheJointsAcceleration) {
   for (int run = 0; run < n; ++run) {
     JointVector q(6), way(6);
     for (int i = 0; i < 6; ++i) q[i] = random.uniform(-2, 2), way[i] = random.uniform(-1, 1);
-    Pose X;
-    Jacobian J;
-    chain.forward(q, X, J);
+    const auto [X, J] = chain.flange(q);
     way *= random.uniform(0, 0.97) * kLimit / (J * way).head<3>().norm();
     const JointVector most = JointVector::Constant(6, 15.0);
     ExactFollower follower(6, {alike(0.012), 50, kT, JointVector::Constant(6, 3.0), most, kLimit});

@@ -31,9 +31,7 @@ TEST(Flange, AMixtureKeepsTheSpeedAndEveryJointLimitOfBoth) {
       ASSERT_LE(std::abs(slow[j] - last[j]), a[j] * kT * (1 + 1e-12));
       ASSERT_LE(std::abs(slow[j]), std::abs(last[j]));
     }
-    Pose X;
-    Jacobian J;
-    chain.forward(any(random, 3), X, J);
+    const Jacobian J = chain.flange(any(random, 3)).J;
     const auto speed = [&](const JointVector& qd) { return (J * qd).head<3>().norm(); };
     const double limit = random.uniform(0.9, 1.1) * speed(slow);
     const JointVector qd = slowed_flange(J, limit, fast, slow);
@@ -73,9 +71,7 @@ TEST(Flange, JointsThatBrakeOneByOneDoNotSpeedItUp) {
     const Home home{s, X_BF.linear()};
     const Vector3 v(random.uniform(-0.25, 0.25), random.uniform(-0.25, 0.25),
                     random.uniform(-0.25, 0.25));
-    Pose X;
-    Jacobian J;
-    chain.forward(q, X, J);
+    auto [X, J] = chain.flange(q);
     const Vector6 twist = rcm_twist(shaft_state(X, {tool.s_F, tool.p_FTip}, p_BRcm), v,
                                     random.uniform(-1, 1), Vector3::Zero(), 0, 0.02);
     StepRequest request;
@@ -106,10 +102,7 @@ TEST(Flange, JointsThatBrakeOneByOneDoNotSpeedItUp) {
 
 /// Speed of the flange that the last command asks for, at the joints it was made for.
 double commanded(const Bench& bench, const JointVector& q) {
-  Pose X;
-  Jacobian J;
-  bench.chain().forward(q, X, J);
-  return (J * bench.out().qd_command).head<3>().norm();
+  return (bench.chain().flange(q).J * bench.out().qd_command).head<3>().norm();
 }
 
 struct Plant {
@@ -236,8 +229,7 @@ TEST(Flange, TheWayBackStaysInsideItBehindAnArmOfUnknownLag) {
                               random.uniform(-0.03, 0.03));
           command.roll_rate = random.uniform(-1, 1);
         }
-        bench.send(command);
-        bench.tick();
+        bench.ask(command);
       }
       command.motion = Motion::kRetrace;
       bench.send(command);
@@ -275,9 +267,7 @@ TEST(Flange, TheLookAheadKnowsTheMarginBeforeAJointLimit) {
       (upper ? robot.position_max : robot.position_min)[joint] =
           robot.home[joint] + (upper ? room : -room);
       Bench bench({law}, 0, 0, 0, &robot);
-      MotionCommand command;
-      command.source = kMe;
-      command.motion = Motion::kMoveJp;
+      MotionCommand command = test::command(Motion::kMoveJp);
       command.joints = Vector4(random.uniform(-0.8, 0.8), random.uniform(-0.8, 0.8),
                                random.uniform(0.06, 0.2), random.uniform(-2, 2));
       bench.send(command);

@@ -127,9 +127,7 @@ TEST(Barrier, MeasuresAreThoseOfTheArmsGeometry) {
   for (int i = 0; i < n; ++i) {
     JointVector q(6);
     for (int k = 0; k < 6; ++k) q[k] = random.uniform(-3, 3);
-    Pose X_BF;
-    Jacobian J;
-    chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = chain.flange(q);
     const SingularityMeasures found = barrier.measures(X_BF, J);
     const test::UrMeasures expected = ur.measures(q);
     ASSERT_EQ(found.n, 3);
@@ -144,9 +142,7 @@ TEST(Barrier, OtherArmsHaveOneMeasureThatVanishesWithTheRank) {
   const Chain panda = test::panda_chain();
   const Barrier barrier(panda);
   EXPECT_FALSE(barrier.like_ur());
-  Pose X_BF;
-  Jacobian J;
-  panda.forward(test::panda_home(), X_BF, J);
+  auto [X_BF, J] = panda.flange(test::panda_home());
   EXPECT_GT(barrier.measures(X_BF, J).phi[0], 0.01);
   panda.forward(JointVector::Zero(7), X_BF, J);  // stretched out
   EXPECT_LT(barrier.measures(X_BF, J).phi[0], 1e-6);

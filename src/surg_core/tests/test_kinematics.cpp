@@ -66,9 +66,7 @@ TEST(Chain, ForwardIsTheProductOfTheMatrices) {
     const JointVector q = random_joints(random, chain.dof());
     const Pose X = chain.forward(q);
     worst = std::max(worst, (X.matrix() - product_of_matrices(chain, q)).cwiseAbs().maxCoeff());
-    Pose X_also;
-    Jacobian J;
-    chain.forward(q, X_also, J);
+    const auto [X_also, J] = chain.flange(q);
     ASSERT_EQ(X.matrix(), X_also.matrix());
     ASSERT_EQ(J.cols(), chain.dof());
   }
@@ -111,9 +109,7 @@ TEST(Chain, JacobianIsTheDerivativeOfForward) {
   for (int k = 0; k < count; ++k) {
     const Chain chain = random_chain(random, random.integer(6, kMaxJoints));
     const JointVector q = random_joints(random, chain.dof());
-    Pose X;
-    Jacobian J;
-    chain.forward(q, X, J);
+    const auto [X, J] = chain.flange(q);
     for (int i = 0; i < chain.dof(); ++i) {
       JointVector below = q, above = q;
       below[i] -= h;
@@ -170,9 +166,7 @@ TEST(InverseVelocity, GivesTheTwistAndTheLeastMotionTowardsThePosture) {
   for (int k = 0; k < count; ++k) {
     const int n = random.integer(6, kMaxJoints);
     const Chain chain = random_chain(random, n);
-    Pose X;
-    Jacobian J;
-    chain.forward(random_joints(random, n), X, J);
+    const auto [X, J] = chain.flange(random_joints(random, n));
     const Eigen::MatrixXd full = J;
     const Eigen::JacobiSVD<Eigen::MatrixXd> svd(full, Eigen::ComputeThinU | Eigen::ComputeThinV);
     const Eigen::VectorXd sigma = svd.singularValues();

@@ -92,9 +92,7 @@ Maker velocity_form(double gain, bool look_ahead) {
 Maker paper() {
   return [](const Scene& scene, const Path& path) -> Command {
     return [&scene, path](const JointVector& q, double t) -> JointVector {
-      Pose X_BF;
-      Jacobian J;
-      scene.chain.forward(q, X_BF, J);
+      const auto [X_BF, J] = scene.chain.flange(q);
       const ShaftGoal now = path(t), soon = path(t + kT);
       return joint_velocities(
           scene, q, J,

@@ -157,9 +157,7 @@ std::string stop_of(const Figures& f) {
 /// An arm that lags (4 ms of delay, 8 ms first order) behind a controller that is told 12 ms.
 Figures follow(const Tracker& tracker, const Wall& wall, double seconds, unsigned seed,
                double settled = 2) {
-  Controller::Options options;
-  options.track_rcm = true;
-  Bench bench(options, 2, 0.008, 0.012);
+  Bench bench(test::tracking(), 2, 0.008, 0.012);
   Random random(seed);
   const Vector3 p0 = bench.out().p_BRcm, across = bench.controller().X_BR().linear().col(0);
   const Vector3 p_RTip = bench.tip_in_R();

@@ -164,8 +164,7 @@ TEST(Controller, AJointLimitHoldsTheArmAndLetsItGoAgain) {
         const auto push = [&](double x) {
           MotionCommand command = test::command(Motion::kServoCv);
           command.p = Vector3(x, x, 0);
-          bench.send(command);
-          bench.tick();
+          bench.ask(command);
           for (int j = 0; j < 6; ++j) {
             ASSERT_LE(bench.in().q[j], robot.position_max[j]);
             ASSERT_GE(bench.in().q[j], robot.position_min[j]);
@@ -220,8 +219,7 @@ TEST(Controller, AStreamDoesNotTalkOverAHold) {
     MotionCommand hold;
     hold.motion = Motion::kHold;
     hold.source = kOther;
-    bench.send(hold);
-    bench.tick();
+    bench.ask(hold);
     const Vector3 at = bench.tip_in_R();
     for (int i = 201; i < 500; ++i) {
       stream(i);
@@ -277,8 +275,7 @@ TEST(Controller, NotANumberInACommandFaultsInTheSameCycleAndNeverReachesTheWire)
       default:
         bad.rotation.coeffs()[random.integer(0, 3)] = x;
     }
-    bench.send(bad);
-    bench.tick();
+    bench.ask(bad);
     EXPECT_EQ(bench.out().state, State::kFault);
     EXPECT_EQ(bench.out().reason, Reason::kNotFinite);
     for (int k = 0; k < 100; ++k) {
@@ -349,10 +346,7 @@ TEST(Controller, RefusesWithAReasonAndDoesNotMove) {
     bench.send(command);
     return bench.tick().verdicts[0].reason;
   };
-  MotionCommand command;
-  command.source = kMe;
-  command.motion = Motion::kServoCp;
-  command.p = Vector3(0.003, 0, 0.12);
+  MotionCommand command = test::command(Motion::kServoCp, Vector3(0.003, 0, 0.12));
   EXPECT_EQ(refused(command), Reason::kStreamStartTooFar);
   command.motion = Motion::kMoveCp;
   for (const Vector3& p : {Vector3(0, 0, 0.019), Vector3(0, 0, 0.221), Vector3(0, 0, -0.12),
@@ -382,24 +376,18 @@ TEST(Controller, OnlyTheHolderIsObeyedUntilItHasRestedHalfASecond) {
   mine.p = Vector3(0.01, 0, 0.12);
   other.p = Vector3(-0.01, 0, 0.12);
   bench.send(mine);
-  bench.send(other);
-  bench.tick();
-  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(other), Reason::kNone);
   EXPECT_EQ(bench.out().verdicts[1].reason, Reason::kNoAuthority);
   EXPECT_EQ(bench.out().source, kMe);
   while (bench.out().busy) bench.tick();
   EXPECT_LT((bench.tip_in_R() - mine.p).norm(), 5e-4);
   for (int i = 0; i < 260; ++i) bench.tick();
-  bench.send(other);
-  bench.tick();
-  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(other), Reason::kNone);
   MotionCommand hold;
   hold.motion = Motion::kHold;  // obeyed from anyone
   hold.source = kMe;
   for (int i = 0; i < 50; ++i) bench.tick();
-  bench.send(hold);
-  bench.tick();
-  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(hold), Reason::kNone);
   for (int i = 0; i < 50; ++i) bench.tick();
   EXPECT_EQ(bench.out().motion, Motion::kNone);
 }
@@ -421,15 +409,11 @@ TEST(Controller, VelocityCommandsMoveTheTipAsAsked) {
   const int n = test::family(40, 4000);
   for (int i = 0; i < n; ++i) {
     Bench bench;
-    MotionCommand command;
-    command.source = kMe;
-    command.motion = Motion::kServoCv;
-    command.p = 0.03 * Vector3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    MotionCommand command = test::command(
+        Motion::kServoCv,
+        0.03 * Vector3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1)));
     command.roll_rate = random.uniform(-0.5, 0.5);
-    for (int k = 0; k < 150; ++k) {
-      bench.send(command);
-      bench.tick();
-    }
+    for (int k = 0; k < 150; ++k) bench.ask(command);
     EXPECT_LT(
         (bench.controller().X_BR().linear().transpose() * bench.out().v_BTip - command.p).norm(),
         1e-3);

@@ -33,8 +33,7 @@ TEST(Surface, JointTargetsAreReachedAndTheTipTurnsOnASphere) {
     Bench bench;
     const Vector4 target(random.uniform(-0.4, 0.4), random.uniform(-0.4, 0.4), 0.12,
                          random.uniform(-1, 1));
-    bench.send(joints(Motion::kMoveJp, target));
-    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+    EXPECT_EQ(bench.ask(joints(Motion::kMoveJp, target)), Reason::kNone);
     EXPECT_TRUE(bench.out().busy);
     while (bench.out().busy) {
       bench.tick();
@@ -51,16 +50,13 @@ TEST(Surface, JointTargetsAreReachedAndTheTipTurnsOnASphere) {
 TEST(Surface, RelativeJointsAddToTheGoal) {
   Bench bench;
   for (int i = 0; i < 3; ++i) {
-    bench.send(joints(Motion::kMoveJr, Vector4(0.1, 0, 0.005, 0.2)));
-    bench.tick();
+    bench.ask(joints(Motion::kMoveJr, Vector4(0.1, 0, 0.005, 0.2)));
     for (int k = 0; k < 20; ++k) bench.tick();  // the next one comes while this one is under way
   }
   wait(bench);
   EXPECT_LT((bench.out().virtual_q - Vector4(0.3, 0, 0.135, 0.6)).norm(), 5e-3);
   for (int i = 0; i < 200; ++i) {
-    bench.send(joints(Motion::kServoJr, Vector4(-0.0005, 0, 0, 0)));
-    bench.tick();
-    ASSERT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+    ASSERT_EQ(bench.ask(joints(Motion::kServoJr, Vector4(-0.0005, 0, 0, 0))), Reason::kNone);
   }
   for (int k = 0; k < 300; ++k) bench.tick();
   EXPECT_NEAR(bench.out().virtual_q[0], 0.2, 1e-2);
@@ -68,12 +64,11 @@ TEST(Surface, RelativeJointsAddToTheGoal) {
 
 TEST(Surface, AWayThatLeavesTheWorkspaceIsRefusedThoughItsEndsAreInside) {
   Bench bench;
-  bench.send(joints(Motion::kMoveJp, Vector4(1.0, 0, 0.035, 0)));
-  bench.tick();
+  bench.ask(joints(Motion::kMoveJp, Vector4(1.0, 0, 0.035, 0)));
   wait(bench);
   // The straight line between two shallow points on opposite sides passes above depth_min.
-  bench.send(bench.pose(Motion::kMoveCp, 0.035 * shaft_direction(-1.0, 0)));
-  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kOutsideWorkspace);
+  EXPECT_EQ(bench.ask(bench.pose(Motion::kMoveCp, 0.035 * shaft_direction(-1.0, 0))),
+            Reason::kOutsideWorkspace);
   bench.send(joints(Motion::kMoveJp, Vector4(-1.0, 0, 0.035, 0)));  // round it there is a way
   EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
   wait(bench);
@@ -82,9 +77,7 @@ TEST(Surface, AWayThatLeavesTheWorkspaceIsRefusedThoughItsEndsAreInside) {
 
 TEST(Surface, OutThroughTheTrocarAndInAgain) {  // F24
   Bench bench;
-  bench.send(command(Motion::kWithdraw));
-  bench.tick();
-  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(command(Motion::kWithdraw)), Reason::kNone);
   double fastest = 0, worst = 0;
   const Vector3 s = bench.out().s_B;
   while (bench.out().busy) {
@@ -100,19 +93,13 @@ TEST(Surface, OutThroughTheTrocarAndInAgain) {  // F24
   EXPECT_NEAR(bench.out().virtual_set[2], -0.01, 1e-3);
   // Outside nothing but the way in is taken.
   for (const Motion motion : {Motion::kServoCv, Motion::kServoJv, Motion::kMoveCp}) {
-    MotionCommand other = command(motion);
-    other.p = Vector3(0, 0, 0.1);
-    bench.send(other);
-    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNotInserted);
+    EXPECT_EQ(bench.ask(command(motion, Vector3(0, 0, 0.1))), Reason::kNotInserted);
   }
-  bench.send(command(Motion::kInsert));
-  bench.tick();
+  bench.ask(command(Motion::kInsert));
   wait(bench);
   EXPECT_NEAR(bench.out().depth, bench.robot().limits.depth_slow, 1e-3);
-  MotionCommand work = command(Motion::kMoveCp);
-  work.p = Vector3(0.01, 0, 0.1);
-  bench.send(work);
-  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  MotionCommand work = command(Motion::kMoveCp, Vector3(0.01, 0, 0.1));
+  EXPECT_EQ(bench.ask(work), Reason::kNone);
   wait(bench);
   EXPECT_LT((bench.tip_in_R() - work.p).norm(), 1e-3);
 }
@@ -127,9 +114,7 @@ TEST(Surface, ASessionMayBeginAboveTheTrocar) {
   EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
   EXPECT_EQ(bench.controller().request(StateCommand::kHome), Reason::kNone);
   bench.tick();
-  bench.send(command(Motion::kInsert));
-  bench.tick();
-  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(command(Motion::kInsert)), Reason::kNone);
   wait(bench);
   EXPECT_NEAR(bench.out().depth, 0.03, 1e-3);
   EXPECT_EQ(bench.out().state, State::kEnabled);
@@ -159,13 +144,11 @@ TEST(Surface, TheWayBackAlongTheTraceKeepsThePivotAndEndsWhereItBegan) {
     for (int move = 0; move < 3; ++move) {
       const Vector3 to(random.uniform(-0.03, 0.03), random.uniform(-0.03, 0.03),
                        random.uniform(0.09, 0.15));
-      bench.send(bench.pose(Motion::kMoveCp, to, random.uniform(-1, 1)));
-      bench.tick();
+      bench.ask(bench.pose(Motion::kMoveCp, to, random.uniform(-1, 1)));
       wait(bench);
     }
     EXPECT_GT((bench.in().q - home).norm(), 0.02);
-    bench.send(command(Motion::kRetrace));
-    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+    EXPECT_EQ(bench.ask(command(Motion::kRetrace)), Reason::kNone);
     EXPECT_TRUE(bench.out().busy);
     int cycles = 0;
     double worst = 0;
@@ -190,10 +173,7 @@ TEST(Surface, TheWayBackAlongTheTraceKeepsThePivotAndEndsWhereItBegan) {
 
 TEST(Surface, HoldEndsTheWayBack) {
   Bench bench;
-  MotionCommand to = command(Motion::kMoveCp);
-  to.p = Vector3(0.03, 0.02, 0.14);
-  bench.send(to);
-  bench.tick();
+  bench.ask(command(Motion::kMoveCp, Vector3(0.03, 0.02, 0.14)));
   wait(bench);
   bench.send(command(Motion::kRetrace));
   for (int i = 0; i < 100; ++i) bench.tick();
@@ -217,19 +197,12 @@ TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
       for (int i = 0; i < 10; ++i) bench.tick();
       const JointVector home = bench.in().q;
       for (const Vector3& p : {Vector3(0.03, 0.02, 0.14), Vector3(-0.03, 0.02, 0.1)}) {
-        MotionCommand to = command(Motion::kMoveCp);
-        to.p = p;
-        bench.send(to);
-        bench.tick();
+        bench.ask(command(Motion::kMoveCp, p));
         wait(bench);
       }
       if (stop == Stop::kPausedInMotion) {
-        MotionCommand fast = command(Motion::kServoCv);
-        fast.p = Vector3(0.25, 0, 0);
-        for (int i = 0; i < 150; ++i) {
-          bench.send(fast);
-          bench.tick();
-        }
+        MotionCommand fast = command(Motion::kServoCv, Vector3(0.25, 0, 0));
+        for (int i = 0; i < 150; ++i) bench.ask(fast);
       } else {
         bench.send(command(Motion::kRetrace));
         for (int i = 0; i < 1000; ++i) bench.tick();
@@ -268,8 +241,7 @@ TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
       EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3);
       EXPECT_EQ(bench.out().state, State::kEnabled);
       // Said in the very next cycle as well.
-      bench.send(command(Motion::kRetrace));
-      bench.tick();
+      bench.ask(command(Motion::kRetrace));
       EXPECT_EQ(bench.out().reason, Reason::kNoTrace);
       ++ways;
     }
@@ -280,26 +252,19 @@ TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
 /// What was gone back is no part of the way out, whatever the trocar has done since: the tip must
 /// not go in again to begin with.
 TEST(Surface, AWayBackThatWasHeldDoesNotLeadInAgain) {
-  Controller::Options options;
-  options.track_rcm = true;
-  Bench bench(options);
+  Bench bench(tracking());
   const Vector3 p_BRcm = bench.out().p_BRcm, across = bench.controller().X_BR().linear().col(0);
   double at = 0;  // [m] the trocar is pushed aside, by 9 mm in all
   const auto tick = [&](double speed = 0) {
     at += kT * speed;
-    bench.in().track_valid = true;
-    bench.in().track_age = 0;
-    bench.in().p_BTrack = p_BRcm + at * across;
-    bench.in().v_BTrack = speed * across;
+    bench.track(p_BRcm + at * across, speed * across, 0);
     bench.tick();
   };
   const auto rest = [&] {
     for (int i = 0; i < 20000 && bench.out().busy; ++i) tick();
   };
   tick();
-  MotionCommand to = command(Motion::kMoveCp);
-  to.p = Vector3(0, 0, 0.2);
-  bench.send(to);
+  bench.send(command(Motion::kMoveCp, Vector3(0, 0, 0.2)));
   tick();
   rest();
   bench.send(command(Motion::kRetrace));
@@ -334,9 +299,7 @@ struct MovingTrocar {
 };
 
 MovingTrocar on_moving_trocar(bool aware, double stale) {
-  Controller::Options options;
-  options.track_rcm = aware;
-  Bench bench(options);
+  Bench bench(tracking(aware));
   const Breathing trocar{bench.out().p_BRcm, bench.controller().X_BR().linear().col(0)};
   double sum = 0, worst_tip = 0;
   int n = 0;
@@ -379,18 +342,14 @@ TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
   double worst_tip = 0;
   long off_path = 0;
   for (int run = 0; run < n; ++run) {
-    Controller::Options options;
-    options.track_rcm = true;
-    Bench bench(options);
+    Bench bench(tracking());
     const Vector3 p_BRcm = bench.out().p_BRcm, p_BTip = bench.out().p_BTip;
     const double around = random.uniform(-M_PI, M_PI), speed = random.uniform(0.002, 0.012);
     const Vector3 v = bench.controller().X_BR().linear() *
                       Vector3(speed * std::cos(around), speed * std::sin(around), 0);
     const int cycles = static_cast<int>(0.009 / speed / kT);
     for (int i = 1; i <= cycles; ++i) {
-      bench.in().track_valid = true;
-      bench.in().p_BTrack = p_BRcm + i * kT * v;
-      bench.in().v_BTrack = v;
+      bench.track(p_BRcm + i * kT * v, v);
       bench.tick();
       ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
       off_path += bench.out().tier > 0;
@@ -407,16 +366,12 @@ TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
 
 /// An arm that moves 12 ms after it was told meets the trocar where it will be then.
 TEST(Surface, AMovingTrocarIsMetWhereItWillBeWhenTheArmMoves) {
-  Controller::Options options;
-  options.track_rcm = true;
-  Bench bench(options, 2, 0.008, 0.012);
+  Bench bench(tracking(), 2, 0.008, 0.012);
   const Breathing trocar{bench.out().p_BRcm, bench.controller().X_BR().linear().col(0)};
   double worst = 0;
   for (int i = 0; i < 6000; ++i) {
     const double t = i * kT;
-    bench.in().track_valid = true;
-    bench.in().p_BTrack = trocar.p(t);
-    bench.in().v_BTrack = trocar.v(t);
+    bench.track(trocar.p(t), trocar.v(t));
     bench.tick();
     ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
     const Vector3 to = trocar.p(t) - bench.out().p_BTip;
@@ -444,15 +399,10 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
       {{0, 0, 0}, {0, 0, 0}, NAN, State::kFault, Reason::kNotFinite},
   };
   for (const Case& c : cases) {
-    Controller::Options options;
-    options.track_rcm = true;
-    Bench bench(options);
+    Bench bench(tracking());
     const Vector3 p_BRcm = bench.out().p_BRcm;
     const auto track = [&](const Vector3& p, const Vector3& v, double age) {
-      bench.in().track_valid = true;
-      bench.in().track_age = age;
-      bench.in().p_BTrack = p;
-      bench.in().v_BTrack = v;
+      bench.track(p, v, age);
       bench.tick();
     };
     for (int i = 0; i < 100; ++i) track(p_BRcm, Vector3::Zero(), 0);
@@ -476,17 +426,13 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
 TEST(Surface, F23ATrackThatCreepsAwayFaultsAtItsRange) {
   const Vector3 creep(0.008, 0.006, 0);  // [m/s] slower than the trocar's speed limit
   for (const bool outside_at_once : {false, true}) {
-    Controller::Options options;
-    options.track_rcm = true;
-    Bench bench(options);
+    Bench bench(tracking());
     const Vector3 p_BTaught = bench.out().p_BRcm;
     const Vector3 start = outside_at_once ? Vector3(0.0101, 0, 0) : Vector3::Zero();
-    Vector3 moved;
+    Vector3 moved = Vector3::Zero();
     for (int i = 0; i < 1000 && bench.out().state == State::kEnabled; ++i) {
       moved = start + i * kT * creep;
-      bench.in().track_valid = true;
-      bench.in().p_BTrack = p_BTaught + moved;
-      bench.in().v_BTrack = creep;
+      bench.track(p_BTaught + moved, creep);
       bench.tick();
     }
     EXPECT_EQ(bench.out().state, State::kFault);
@@ -532,11 +478,8 @@ TEST(Surface, TheJawIsBusyUntilItIsThereAndMovesOnCommandOnly) {  // F31
   EXPECT_TRUE(bench.tick().busy);
   // The tool link falls silent on the way: neither jaw nor arm goes on, nor starts by itself.
   open.jaw = 0.1;
-  bench.send(open);
-  bench.tick();
-  MotionCommand move = command(Motion::kMoveCp);
-  move.p = Vector3(0.03, 0, 0.12);
-  bench.send(move);
+  bench.ask(open);
+  bench.send(command(Motion::kMoveCp, Vector3(0.03, 0, 0.12)));
   for (int i = 0; i < 20; ++i) bench.tick();
   bench.in().jaw_age = 0.201;
   bench.tick();
@@ -589,8 +532,7 @@ struct Wall {
 TEST(Surface, ASoftForceIsYieldedToAndPauses) {  // F25
   const Wall wall{2000};
   Bench bench;
-  MotionCommand push = command(Motion::kServoCv);
-  push.p = Vector3(0.03, 0, 0);
+  MotionCommand push = command(Motion::kServoCv, Vector3(0.03, 0, 0));
   int above = 0;
   double most = 0;
   while (bench.out().state == State::kEnabled && bench.ticks < 2000) {
@@ -625,12 +567,8 @@ TEST(Surface, AHardForceAndTheTrocarsLoadStopInTheSameCycle) {  // F25
   for (const bool at_tip : {true, false}) {
     for (const Vector3& f : {Vector3(at_tip ? 8.01 : 15.01, 0, 0), Vector3(NAN, 0, 0)}) {
       Bench bench;
-      MotionCommand push = command(Motion::kServoCv);
-      push.p = Vector3(0.03, 0, 0);
-      for (int i = 0; i < 200; ++i) {
-        bench.send(push);
-        bench.tick();
-      }
+      MotionCommand push = command(Motion::kServoCv, Vector3(0.03, 0, 0));
+      for (int i = 0; i < 200; ++i) bench.ask(push);
       const JointVector before = bench.out().qd_command, most = kT * bench.robot().acceleration;
       EXPECT_GT(before.norm(), 1e-3);
       (at_tip ? bench.in().tip_force : bench.in().trocar_force) = {true, f};
@@ -655,9 +593,7 @@ TEST(Surface, AHardForceAndTheTrocarsLoadStopInTheSameCycle) {  // F25
 TEST(Surface, AMoveThatIsNotFollowedEndsWithAReason) {
   Bench bench;
   const JointVector stuck = bench.in().q;
-  MotionCommand move = command(Motion::kMoveCp);
-  move.p = bench.tip_in_R() + Vector3(0.003, 0, 0);
-  bench.send(move);
+  bench.send(command(Motion::kMoveCp, bench.tip_in_R() + Vector3(0.003, 0, 0)));
   bool said = false;
   for (int i = 0; i < 1500; ++i) {
     bench.tick();

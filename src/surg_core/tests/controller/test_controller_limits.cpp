@@ -15,10 +15,7 @@ TEST(ControllerLimits, F24LateralMotionFadesTowardsTheTrocar) {
   for (const double depth : {0.0212, 0.0225, 0.024, 0.026, 0.028, 0.04}) {
     Bench bench;
     const Limits& limits = bench.robot().limits;
-    MotionCommand command;
-    command.source = test::kMe;
-    command.motion = Motion::kMoveCp;
-    command.p = Vector3(0, 0, depth);
+    MotionCommand command = test::command(Motion::kMoveCp, Vector3(0, 0, depth));
     bench.send(command);
     for (int i = 0; i < 2000; ++i) bench.tick();
     ASSERT_NEAR(bench.out().depth, depth, 1e-4);
@@ -45,10 +42,7 @@ TEST(ControllerLimits, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   Controller::Options options;
   options.law = Law::kVelocity;
   Bench aside(options);  // a tip that is 1 mm off the set-point, on the pivot
-  MotionCommand command;
-  command.source = test::kMe;
-  command.motion = Motion::kMoveCp;
-  command.p = Vector3(-0.001, 0, 0.12);
+  MotionCommand command = test::command(Motion::kMoveCp, Vector3(-0.001, 0, 0.12));
   aside.send(command);
   for (int i = 0; i < 1000; ++i) aside.tick();
   for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
@@ -109,15 +103,10 @@ TEST(ControllerLimits, F25TheWayBackToThePathYieldsInTheExactFormToo) {
 TEST(ControllerLimits, F25AnArmThatOvershotAwayFromAForceIsNotPulledBackAgainstIt) {
   for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
     Bench bench({}, 2, 0.008);             // a lag of 12 ms that nobody has stated
-    MotionCommand command;
-    command.source = test::kMe;
-    command.motion = Motion::kServoCv;
+    MotionCommand command = test::command(Motion::kServoCv);
     const auto drive = [&](double v, int cycles) {
       command.p = Vector3(v, 0, 0);
-      for (int i = 0; i < cycles; ++i) {
-        bench.send(command);
-        bench.tick();
-      }
+      for (int i = 0; i < cycles; ++i) bench.ask(command);
     };
     drive(0.1, 150);
     drive(0, 40);  // the arm is beyond its set-point
@@ -145,10 +134,7 @@ TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
     Controller::Options options;
     options.law = law;
     Bench aside(options);
-    MotionCommand command;
-    command.source = test::kMe;
-    command.motion = Motion::kMoveCp;
-    command.p = Vector3(-0.004, 0, 0.12);
+    MotionCommand command = test::command(Motion::kMoveCp, Vector3(-0.004, 0, 0.12));
     aside.send(command);
     for (int i = 0; i < 1000; ++i) aside.tick();
     Bench bench(options);  // its set-point is at home, and there it stays
@@ -174,15 +160,12 @@ TEST(ControllerLimits, AVelocityStopsBeforeTheWallAsTheJointsCan) {
       robot.velocity.setConstant(6);
       for (int i = 0; i < 6; ++i) robot.home[i] += random.uniform(-0.2, 0.2);
       Bench bench({law}, 0, 0, 0, &robot);
-      MotionCommand command;
-      command.source = test::kMe;
-      command.motion = Motion::kServoJv;
+      MotionCommand command = test::command(Motion::kServoJv);
       command.joints = Vector4(random.uniform(-1.5, 1.5), random.uniform(-1.5, 1.5),
                                random.uniform(0, 0.2), random.uniform(-1, 1));
       double outside = -1;
       for (int k = 0; k < 1000; ++k) {
-        bench.send(command);
-        bench.tick();
+        bench.ask(command);
         outside = std::max(outside, outside_workspace(bench.robot().limits, bench.tip_in_R()));
       }
       walls += outside > -5e-3;
@@ -213,14 +196,8 @@ TEST(ControllerLimits, AStreamMayNotJumpInRoll) {
 
 TEST(ControllerLimits, TooFastAWishKeepsItsDirection) {
   Bench bench;
-  MotionCommand command;
-  command.source = test::kMe;
-  command.motion = Motion::kServoCv;
-  command.p = Vector3(1.0, 0, 0.5);
-  for (int i = 0; i < 120; ++i) {
-    bench.send(command);
-    bench.tick();
-  }
+  MotionCommand command = test::command(Motion::kServoCv, Vector3(1.0, 0, 0.5));
+  for (int i = 0; i < 120; ++i) bench.ask(command);
   const Vector3 v = bench.controller().X_BR().linear().transpose() * bench.out().v_set;
   EXPECT_GT(v.x(), 0.05);
   EXPECT_NEAR(v.z(), 0.5 * v.x(), 0.05 * v.x());
@@ -240,9 +217,7 @@ TEST(ControllerLimits, EveryDegreeOfFreedomKeepsItsOwnJerk) {
       const bool length = dof < 3 && (!spherical || dof == 2);
       const double most = dof == 3 ? 90 : length ? 20 : 60;
       Bench bench({}, 0, 0, 0, &robot);
-      MotionCommand command;
-      command.source = test::kMe;
-      command.motion = spherical ? Motion::kServoJv : Motion::kServoCv;
+      MotionCommand command = test::command(spherical ? Motion::kServoJv : Motion::kServoCv);
       (dof == 3 && !spherical ? command.roll_rate
        : spherical            ? command.joints[dof]
                               : command.p[dof]) = length ? 0.04 : 0.3;
@@ -273,9 +248,7 @@ TEST(ControllerLimits, BetweenSamplesThePivotStaysWithinHalfAMicrometre) {
   double worst = 0;
   for (int run = 0; run < test::family(10, 200); ++run) {
     Bench bench({}, 0, 0, 0, &robot);
-    MotionCommand command;
-    command.source = test::kMe;
-    command.motion = Motion::kServoCv;
+    MotionCommand command = test::command(Motion::kServoCv);
     for (int i = 0; i < 2000; ++i) {
       if (i % 100 == 0) {
         for (int k = 0; k < 3; ++k) command.p[k] = random.uniform(-0.25, 0.25);
@@ -309,13 +282,11 @@ TEST(ControllerLimits, F26TheArmIsNotFreeWhileItMoves) {
   mine.source = test::kMe;
   other.source = test::kOther;
   mine.p = other.p = Vector3(0.09, 0, 0.13);
-  bench.send(mine);
-  bench.tick();
+  bench.ask(mine);
   int refused = 0;
   // Over half a second, and no command of mine.
   for (; (bench.out().p_set - bench.out().p_goal).norm() > 1e-3; ++refused) {
-    bench.send(other);
-    ASSERT_EQ(bench.tick().verdicts[0].reason, Reason::kNoAuthority);
+    ASSERT_EQ(bench.ask(other), Reason::kNoAuthority);
     ASSERT_EQ(bench.out().source, test::kMe);
   }
   EXPECT_GT(refused, 260);

@@ -37,8 +37,7 @@ TEST(ControllerMoves, AMoveWhoseWayPassesTheShallowZoneIsRefused) {
   Bench bench;
   MotionCommand aside = command(Motion::kMoveJp);
   aside.joints = Vector4(0.7, 0, 0.035, 0);
-  bench.send(aside);
-  bench.tick();
+  bench.ask(aside);
   finish(bench);
   ASSERT_NEAR(bench.out().virtual_q[0], 0.7, 5e-3);
   EXPECT_EQ(send_move(bench, 0.035 * shaft_direction(-0.7, 0)), Reason::kOutsideWorkspace);
@@ -51,11 +50,9 @@ TEST(ControllerMoves, AMoveThatMustStopFirstReachesItsTarget) {
   RobotConfig robot = robot_behind(good_robot());
   robot.acceleration.setConstant(40);
   Bench bench({}, 0, 0, 0, &robot);
-  MotionCommand down = command(Motion::kServoCv);
-  down.p = Vector3(0, 0, 0.2);
+  MotionCommand down = command(Motion::kServoCv, Vector3(0, 0, 0.2));
   while (bench.out().depth < 0.206) {
-    bench.send(down);
-    bench.tick();
+    bench.ask(down);
   }
   const double speed = bench.out().v_set.norm();
   EXPECT_GT(speed, 0.1);
@@ -130,8 +127,7 @@ TEST(ControllerMoves, AWayBackFromBeyondHalfATurnKeepsItsTurns) {
   const JointVector home = bench.in().q;
   MotionCommand turn = command(Motion::kMoveJp);
   turn.joints = Vector4(0, 0, 0.12, 4.2);
-  bench.send(turn);
-  bench.tick();
+  bench.ask(turn);
   finish(bench);
   bench.send(command(Motion::kRetrace));
   double last = bench.out().roll_set, jump = 0;
@@ -149,8 +145,7 @@ TEST(ControllerMoves, AWayBackFromBeyondHalfATurnKeepsItsTurns) {
   EXPECT_LT(jump, 0.01);
   EXPECT_NEAR(bench.out().roll, 3.9, 0.1);
   EXPECT_NEAR(bench.out().roll_set, bench.out().roll, 0.01);
-  bench.send(command(Motion::kRetrace));
-  bench.tick();
+  bench.ask(command(Motion::kRetrace));
   finish(bench);
   EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3);
 }
@@ -191,12 +186,8 @@ TEST(ControllerMoves, AResumeAtAnyTimeOfTheRampKeepsTheJointsAcceleration) {
     double worst = 0;
     for (const int after : {-30, -10, 0, 1, 2, 3}) {  // cycles after the arm counts as at rest
       Bench bench({law}, 0, 0, 0, &robot);
-      MotionCommand aside = command(Motion::kServoCv);
-      aside.p = Vector3(0.03, 0, 0);
-      for (int i = 0; i < 400; ++i) {
-        bench.send(aside);
-        bench.tick();
-      }
+      MotionCommand aside = command(Motion::kServoCv, Vector3(0.03, 0, 0));
+      for (int i = 0; i < 400; ++i) bench.ask(aside);
       bench.controller().request(StateCommand::kPause);
       JointVector last = bench.in().qd;
       const auto tick = [&] {

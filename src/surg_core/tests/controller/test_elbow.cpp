@@ -91,9 +91,7 @@ TEST(Elbow, TurnKeepsTheFlangeAndTurnsByTheAngle) {
   long regular = 0;
   for (int i = 0; i < family(5000, 200000); ++i) {
     const JointVector q = any_posture(random);
-    Pose X_BF;
-    Jacobian J;
-    chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = chain.flange(q);
     const ElbowTurn turn = elbow_turn(chain, q, J);
     if (!turn.regular || turn.per_angle.norm() > 5) continue;
     ++regular;

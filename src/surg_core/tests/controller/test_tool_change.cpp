@@ -37,8 +37,7 @@ TEST(ToolChange, RefusedUnlessDisabledAndAtRest) {
   for (int i = 0; i < 200; ++i) {
     MotionCommand command = test::command(Motion::kServoCv);
     command.p = {0.1, 0, 0};
-    bench.send(command);
-    bench.tick();
+    bench.ask(command);
   }
   controller.request(StateCommand::kDisable);
   EXPECT_EQ(change(), Reason::kNotAtRest);

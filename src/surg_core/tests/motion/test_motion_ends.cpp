@@ -22,8 +22,7 @@ void go_somewhere(Bench& bench) {
 double expect_held_until_rested(Bench& bench, const MotionCommand& strange) {
   long rested = 0, n = 0;
   for (; n < 20000; ++n) {
-    bench.send(strange);
-    bench.tick();
+    bench.ask(strange);
     if (bench.out().verdicts[0].reason == Reason::kNone) break;
     if (bench.out().busy) {
       EXPECT_EQ(bench.out().source, kMe);
@@ -37,8 +36,7 @@ double expect_held_until_rested(Bench& bench, const MotionCommand& strange) {
 TEST(MotionEnds, F26TheHolderKeepsTheArmThroughARetrace) {
   Bench bench;
   go_somewhere(bench);
-  bench.send(command(Motion::kRetrace));
-  bench.tick();
+  bench.ask(command(Motion::kRetrace));
   MotionCommand strange = command(Motion::kMoveCp, kOther);
   strange.p = Vector3(0, 0, 0.12);
   EXPECT_GT(expect_held_until_rested(bench, strange), 1.0);
@@ -57,8 +55,7 @@ TEST(MotionEnds, F26TheHolderKeepsTheArmWhileItsJawMoves) {
 
 TEST(MotionEnds, F26HalfASecondOfRestCountsFromTheEndOfAMove) {
   Bench bench;
-  bench.send(bench.pose(Motion::kMoveCp, Vector3(0.05, 0, 0.12), 0));
-  bench.tick();
+  bench.ask(bench.pose(Motion::kMoveCp, Vector3(0.05, 0, 0.12), 0));
   EXPECT_GT(expect_held_until_rested(bench, command(Motion::kRetrace, kOther)), 0.5);
 }
 
@@ -115,9 +112,7 @@ TEST(MotionEnds, F20AMoveIntoAJointLimitEndsWithAReasonWithinTwoSeconds) {
     to.motion = kinds[random.integer(0, 2)];
     to.joints =
         Vector4(random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), p.z(), random.uniform(-2, 2));
-    bench.send(to);
-    bench.tick();
-    ASSERT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+    ASSERT_EQ(bench.ask(to), Reason::kNone);
     const Ending end = end_of(bench);
     over += end.over;
     ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
@@ -131,9 +126,7 @@ TEST(MotionEnds, F20AMoveIntoAJointLimitEndsWithAReasonWithinTwoSeconds) {
     EXPECT_EQ(end.reason, Reason::kNotArrived) << name(end.reason);
     EXPECT_STRNE(end.limited_by, "");
     // The arm obeys again: back to where it came from.
-    bench.send(command(Motion::kRetrace));
-    bench.tick();
-    EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+    EXPECT_EQ(bench.ask(command(Motion::kRetrace)), Reason::kNone);
     EXPECT_TRUE(end_of(bench).over);
     EXPECT_LT((bench.in().q - robot.home).cwiseAbs().maxCoeff(), 2e-3);
   }
@@ -153,8 +146,7 @@ TEST(MotionEnds, ASlowMoveThatNothingLimitsIsNotGivenUp) {
   robot.tuning.profiler_duration = 5;
   Bench bench({}, 0, 0, 0, &robot);
   const Vector3 to = bench.tip_in_R() + Vector3(0.001, 0, 0);
-  bench.send(bench.pose(Motion::kMoveCp, to, 0));
-  bench.tick();
+  bench.ask(bench.pose(Motion::kMoveCp, to, 0));
   const Ending end = end_of(bench);
   EXPECT_TRUE(end.over);
   EXPECT_LT((bench.tip_in_R() - to).norm(), 1e-5);
@@ -162,18 +154,15 @@ TEST(MotionEnds, ASlowMoveThatNothingLimitsIsNotGivenUp) {
 
 /// A trocar that goes round keeps the joints in motion for ever; the way back ends all the same.
 TEST(MotionEnds, ARetraceBehindAMovingTrocarEnds) {
-  Controller::Options options;
-  options.track_rcm = true;
-  Bench bench(options);
+  Bench bench(tracking());
   const Vector3 p0 = bench.out().p_BRcm;
   const Matrix3 R_BR = bench.controller().X_BR().linear();
   double t = 0;
   const auto tick = [&] {
     t += kT;
     const double w = M_PI, r = 0.004;
-    bench.in().track_valid = true;
-    bench.in().p_BTrack = p0 + r * (R_BR * Vector3(std::sin(w * t), 1 - std::cos(w * t), 0));
-    bench.in().v_BTrack = r * w * (R_BR * Vector3(std::cos(w * t), std::sin(w * t), 0));
+    bench.track(p0 + r * (R_BR * Vector3(std::sin(w * t), 1 - std::cos(w * t), 0)),
+                r * w * (R_BR * Vector3(std::cos(w * t), std::sin(w * t), 0)));
     bench.tick();
   };
   bench.send(bench.pose(Motion::kMoveCp, Vector3(0.03, -0.02, 0.15), 0.5));
@@ -195,8 +184,7 @@ TEST(MotionEnds, ARetraceBehindAMovingTrocarEnds) {
 TEST(MotionEnds, ARetraceThatIsBlockedEndsWithAReason) {
   Bench bench;
   go_somewhere(bench);
-  bench.send(command(Motion::kRetrace));
-  bench.tick();
+  bench.ask(command(Motion::kRetrace));
   long held = 0;
   Reason said = Reason::kNone;
   while (bench.out().busy && held < 10000) {
@@ -219,8 +207,7 @@ TEST(MotionEnds, RollHasARange) {
       Bench bench;
       MotionCommand far = command(motion);
       far.joints = Vector4(0, 0, motion == Motion::kMoveJr ? 0 : 0.12, roll);
-      bench.send(far);
-      EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kOutsideWorkspace);
+      EXPECT_EQ(bench.ask(far), Reason::kOutsideWorkspace);
       for (int i = 0; i < 50; ++i) bench.tick();
       EXPECT_LT(bench.in().qd.norm(), 1e-6);
     }
@@ -228,8 +215,7 @@ TEST(MotionEnds, RollHasARange) {
   Bench bench;
   MotionCommand inside = command(Motion::kMoveJp);
   inside.joints = Vector4(0, 0, 0.12, most - 0.01);
-  bench.send(inside);
-  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.ask(inside), Reason::kNone);
 }
 
 /// A stream of turns that goes on beyond the range is refused there, and may come back.
@@ -249,10 +235,7 @@ TEST(MotionEnds, AStreamMayRollBackIntoTheRange) {
   for (int i = 0; i < 60; ++i) bench.tick();
   MotionCommand turn = command(Motion::kServoCv);
   turn.roll_rate = 0.5;
-  for (int i = 0; i < 200; ++i) {
-    bench.send(turn);
-    bench.tick();
-  }
+  for (int i = 0; i < 200; ++i) bench.ask(turn);
   for (int i = 0; i < 300; ++i) bench.tick();
   EXPECT_NEAR(bench.out().roll, 1.0, 0.01);
   EXPECT_EQ(roll_to(0.99), Reason::kNone);

@@ -386,8 +386,7 @@ TEST(Wall, AStreamOutsideIsRefusedUnlessItsSenderSlides) {
       const Vector3 hand = excursion(limits, 0.01, 0.002 * k);
       MotionCommand command = bench.pose(Motion::kServoCp, hand);
       command.slide = slide;
-      bench.send(command);
-      bench.tick();
+      bench.ask(command);
       const bool is_outside = !inside_workspace(limits, hand);
       outside += is_outside;
       refused += bench.out().verdicts[0].reason != Reason::kNone;

@@ -13,6 +13,13 @@ namespace surg::test {
 
 constexpr double kT = 0.002;
 
+/// The trocar may move.
+inline Controller::Options tracking(bool may_move = true) {
+  Controller::Options options;
+  options.track_rcm = may_move;
+  return options;
+}
+
 /// A controller, its arm and a fake clock. The plant integrates the commanded joint velocities
 /// after 'delay' ticks through a first-order lag of 'tau' seconds (0: at once).
 class Bench {
@@ -56,6 +63,19 @@ class Bench {
   }
 
   void send(const MotionCommand& command) { in_.commands[in_.n_commands++] = command; }
+  /// Sends a command and runs a cycle; the answer, if it is the only one.
+  Reason ask(const MotionCommand& command) {
+    send(command);
+    return tick().verdicts[0].reason;
+  }
+
+  /// A sample of the trocar, 'age' seconds old.
+  void track(const Vector3& p, const Vector3& v, double age = 0) {
+    in_.track_valid = true;
+    in_.track_age = age;
+    in_.p_BTrack = p;
+    in_.v_BTrack = v;
+  }
 
   void servo_cp(const Vector3& p_RTip, double roll = 0, std::uint32_t source = kMe) {
     send(pose(Motion::kServoCp, p_RTip, roll));

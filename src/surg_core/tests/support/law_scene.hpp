@@ -49,9 +49,7 @@ struct Scene {
     return next(q, goal, JointVector::Zero(q.size()));
   }
   RcmRows pivot(const JointVector& q, const Vector3& p_B) const {
-    Pose X_BF;
-    Jacobian J;
-    chain.forward(q, X_BF, J);
+    const auto [X_BF, J] = chain.flange(q);
     return rcm_rows(J, shaft_state(X_BF, tool, p_B));
   }
   /// Absolute roll, within half a turn.

@@ -17,6 +17,13 @@ inline MotionCommand command(Motion motion, std::uint32_t source = kMe) {
   return out;
 }
 
+/// One with a position or a velocity.
+inline MotionCommand command(Motion motion, const Vector3& p) {
+  MotionCommand out = command(motion);
+  out.p = p;
+  return out;
+}
+
 /// Adds one to the inputs.
 inline MotionCommand& next_command(Inputs& in, Motion motion, std::uint32_t source = kMe) {
   return in.commands[in.n_commands++] = command(motion, source);

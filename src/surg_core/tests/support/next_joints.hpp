@@ -12,9 +12,7 @@ inline JointVector next_joints(const Chain& chain, const JointVector& q, const P
                                const JointVector& posture) {
   JointVector next = q;
   for (const JointVector& wish : {posture, JointVector(JointVector::Zero(q.size()))}) {
-    Pose X_BF;
-    Jacobian J;
-    chain.forward(next, X_BF, J);
+    const auto [X_BF, J] = chain.flange(next);
     Vector6 twist;
     twist.head<3>() = X_goal.translation() - X_BF.translation();
     const Eigen::AngleAxisd turn(Matrix3(X_goal.linear() * X_BF.linear().transpose()));
