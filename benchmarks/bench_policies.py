@@ -137,7 +137,7 @@ class Book:
     ) -> None:
         self.entrants, self._seeds = entrants, tuple(seeds)
         self._same = {"platform": platform, "seeds": list(seeds)}
-        self.found: dict[tuple[str, str, str], dict[str, Any]] = {}
+        self.found: dict[tuple[Path, str, str], dict[str, Any]] = {}
 
     def look_up(self, one: Entrant, task: str, condition: str) -> bool:
         """Whether a cell was played before, with the same seeds and versions."""
@@ -145,7 +145,7 @@ class Book:
             kept = file_io.read_json(one.file(task, condition))
             same = {key: kept[key] for key in self._same} == self._same
             if same and kept["policy"] == one.sha256:
-                self.found[one.name, task, condition] = kept["played"]
+                self.found[one.folder, task, condition] = kept["played"]
                 return True
         except (EpisodeError, KeyError, TypeError):
             pass  # not there, or no cell: it is played
@@ -166,7 +166,7 @@ class Book:
                 one, task, condition = jobs[key]
                 text = json.dumps({**self._same, "policy": one.sha256, "played": played})
                 paths.write_text(one.file(task, condition), text + "\n")
-                self.found[one.name, task, condition] = played
+                self.found[one.folder, task, condition] = played
                 ended += 1
                 progress.update(ended / len(jobs), f"{one.name}, {task}, {condition}")
 
@@ -184,7 +184,7 @@ class Book:
 
     def card(self, one: Entrant, kind: str, machine: dict[str, Any]) -> dict[str, Any]:
         """The card of a policy."""
-        mine = {key[1:]: played for key, played in self.found.items() if key[0] == one.name}
+        mine = {key[1:]: played for key, played in self.found.items() if key[0] == one.folder}
         order = [(task, c.name) for task in names() for c in FULL if (task, c.name) in mine]
         cells = [score_card.cell(t, c, BY_NAME[c].blind, mine[t, c]) for t, c in order]
         about = {
@@ -205,7 +205,7 @@ def wanted(
     chosen = []
     for one in book.entrants:
         for task in names():
-            found = book.found.get((one.name, task, SERVED), {"served": []})
+            found = book.found.get((one.folder, task, SERVED), {"served": []})
             looks = any(s["key"].startswith(card_conditions.IMAGES) for s in found["served"])
             for condition in conditions:
                 words = f"{task}, {condition.name}"

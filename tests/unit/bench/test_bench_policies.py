@@ -233,6 +233,41 @@ def test_executors_by_name() -> None:
         bench_policies.executor_of("threads")
 
 
+def unplayed(job: CellJob) -> dict[str, Any]:
+    """A cell of a policy whose episodes fail for the text of its program."""
+    reason = job.policy.script.read_text("utf-8")
+    episodes = [card_cell.not_played(seed, reason) for seed in job.seeds]
+    for each in episodes:
+        each.pop("lost")
+    served = [{"key": f"{card_conditions.IMAGES}endoscope_left", "privileged": False}]
+    return {"served": served, "episodes": episodes, "latency_s": None}
+
+
+def in_process(monkeypatch: pytest.MonkeyPatch, cell: Callable[..., Any] = unplayed) -> None:
+    """Let cells be played by this function, and no program start."""
+
+    def run(function: Any, jobs: Any, place: Any, ends: Any) -> None:
+        for key, job in jobs.items():
+            ends.done(key, cell(job))
+
+    monkeypatch.setattr(bench_policies.job_pool, "run", run)
+    monkeypatch.setattr(shut_in, "problem", str)
+
+
+def test_policies_of_one_name_have_their_own_cells(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_process(monkeypatch)
+    files = [tmp_path / name / "mine.py" for name in ("first", "second")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(file.parent.name, "utf-8")
+    words = [*map(str, files), "--keep", str(tmp_path / "kept"), "--only", "bgr, as served"]
+    assert bench_policies.main(words) == 0
+    cards = [json.loads(f.read_text("utf-8")) for f in tmp_path.glob("kept/*/card.json")]
+    assert sorted(f for c in cards for f in c["cells"][0]["failures"]) == ["first", "second"]
+
+
 def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,18 +277,9 @@ def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
         if len(played) == cut:
             raise KeyboardInterrupt
         played.append((job.task, job.condition))
-        episodes = [card_cell.not_played(seed, "a reason") for seed in job.seeds]
-        for each in episodes:
-            each.pop("lost")
-        served = [{"key": f"{card_conditions.IMAGES}endoscope_left", "privileged": False}]
-        return {"served": served, "episodes": episodes, "latency_s": None}
+        return unplayed(job)
 
-    def in_process(function: Any, jobs: Any, place: Any, ends: Any) -> None:
-        for key, job in jobs.items():
-            ends.done(key, cell(job))
-
-    monkeypatch.setattr(bench_policies.job_pool, "run", in_process)
-    monkeypatch.setattr(shut_in, "problem", str)  # no program starts
+    in_process(monkeypatch, cell)
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     cut = -1
     assert bench_policies.main(["hold", "--keep", str(whole)]) == 0
