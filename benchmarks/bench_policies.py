@@ -74,13 +74,13 @@ def entrant(given: str, keep: Path) -> Entrant:
     Raises:
         CliError: There is no such policy, or it cannot be shut in here.
     """
-    if given == EXPERT or "://" in given:
+    if given == EXPERT or re.match(r"\w+://", given):
         return Entrant(given, given, None, keep / _plain(given))
     bundled = re.fullmatch(r"\w+", given)
     found = bundled and importlib.util.find_spec(f"surg_policy_client.policies.{given}")
     if bundled and (found is None or not found.origin):
         raise CliError(f"{given}: no policy; see ./surg dev bench policies --help", 2)
-    program = shut_in.Program.of(found.origin if found and found.origin else given)
+    program = shut_in.Program.of(found.origin if found and found.origin else given, keep)
     if problem := shut_in.problem():
         raise CliError(problem)
     shown = " ".join([program.script.name, *(Path(w).name for w in program.words)])
@@ -262,11 +262,12 @@ def main(words: Sequence[str] | None = None) -> int:
     started = time.monotonic()
     try:
         seeds = seeds_of(options.phrase, options.rollouts or EPISODES[kind])
-        sent = [Path(word) for word in options.policies if word.endswith(".json")]
+        a_card = re.compile(r"(?!.*\.py['\"]? ).*\.json")  # no program with such a word
+        given = [word for word in options.policies if not a_card.fullmatch(word)]
+        sent = [Path(word) for word in options.policies if a_card.fullmatch(word)]
         others = [file_io.read_json(file) for file in sent]
         for file, card in zip(sent, others, strict=True):
             score_card.check(file, card)
-        given = [word for word in options.policies if not word.endswith(".json")]
         book = Book([entrant(word, options.keep) for word in given], seeds, platform())
         for first in (True, False):
             place = replace(options.executor, workers=options.jobs)

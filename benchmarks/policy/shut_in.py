@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+import re
 import resource
 import shlex
 import subprocess
@@ -23,6 +24,8 @@ from surg_recording import file_io
 PACKAGES = ("surg_policy_client", "surg_learn", "surg_core")
 """What a policy may import of the platform: its own side, and kinematics."""
 SYSTEM = ("/usr", "/bin", "/sbin", "/lib", "/lib64", "/etc/alternatives", "/etc/ld.so.cache")
+_HIDDEN = re.compile(r"(^|/)(\.[^/]|__pycache__)")
+"""Such as .git, which change without the policy."""
 SOCKET = "/run/policy.socket"
 """Where the program finds its server: the same in each run, as its last words may name it."""
 SCRATCH_BYTES = 64 << 20
@@ -44,25 +47,29 @@ class Program:
     words: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, given: str) -> Program:
-        """From words such as ``policy.py --weights best.npz``.
+    def of(cls, given: str, keep: Path = paths.ROOT) -> Program:
+        """From words such as ``policy.py --weights best.npz``; cards go to ``keep``.
 
         Raises:
-            CliError: There is no such file, or its folder holds the platform.
+            CliError: There is no such file, or its folder holds the platform or the cards.
         """
-        first, *words = shlex.split(given)
+        try:
+            first, *words = [given] if Path(given).is_file() else shlex.split(given)
+        except ValueError:  # no word, or a quote that is left open
+            first, words = given, []
         script = Path(first).resolve()
         if script.suffix != ".py" or not script.is_file():
             raise CliError(f"{given}: no such .py file; ./surg policy new NAME writes one", 2)
         words = [str(Path(word).resolve()) if Path(word).exists() else word for word in words]
         program = cls(script, tuple(words))
         for folder in (script.parent, *map(Path, program.files)):
-            if paths.ROOT.is_relative_to(folder):
-                raise CliError(
-                    f"{given}: {folder} holds the platform too, and the policy could read it; put "
-                    "the policy's files into a folder of their own",
-                    2,
-                )
+            for what, path in (("the platform", paths.ROOT), ("--keep", keep.resolve())):
+                if path.is_relative_to(folder):
+                    raise CliError(
+                        f"{given}: {folder} holds {what} too, and the policy could read it; put "
+                        "the policy's files into a folder of their own",
+                        2,
+                    )
         return program
 
     @property
@@ -72,13 +79,12 @@ class Program:
 
     @property
     def sha256(self) -> str:
-        """Of the programs beside its script, of its words, and of the files that they name."""
+        """Of its folder but what is hidden there, of its words, and of the files that they name."""
         found = hashlib.sha256()
-        roots = [Path(word) for word in self.files]
-        within = [file for root in roots for file in sorted(root.rglob("*")) if file.is_file()]
-        files = [*sorted(self.script.parent.glob("*.py")), *filter(Path.is_file, roots), *within]
-        for file in files:
-            found.update(f"{file.name}\0{file_io.file_hash(file)}\0".encode())
+        for root in (self.script.parent, *map(Path, self.files)):
+            for file in (root, *sorted(root.rglob("*"))):
+                if file.is_file() and not _HIDDEN.search(str(file.relative_to(root))):
+                    found.update(f"{file.name}\0{file_io.file_hash(file)}\0".encode())
         named = [Path(word).name if word in self.files else word for word in self.words]
         found.update("\0".join([self.script.name, *named]).encode())
         return found.hexdigest()

@@ -319,7 +319,36 @@ def test_words_that_are_no_policy_are_refused(tmp_path: Path) -> None:
     for given, said in (
         ("no_such", "no_such: no policy; see"),
         ("missing.py", "no such .py file"),
+        ("", "no such .py file"),
+        ("it's.py", "it's.py: no such .py file"),
         (f"{shut_in.__file__} {paths.ROOT}", "holds the platform too"),
+        (f"{tmp_path / 'mine.py'}", "holds --keep too"),
     ):
+        (tmp_path / "mine.py").touch()
         with pytest.raises(CliError, match=said):
-            bench_policies.entrant(given, tmp_path)
+            bench_policies.entrant(given, tmp_path / "kept")
+
+
+def test_words_of_a_program_may_look_like_cards_and_addresses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_process(monkeypatch)
+    file = tmp_path / "it's a folder" / "mine.py"
+    file.parent.mkdir()
+    file.write_text("played", "utf-8")
+    words = [f'"{file}" --config {tmp_path}/no.json', f'"{file}" --url http://there', str(file)]
+    only = ["--keep", str(tmp_path / "kept"), "--only", "bgr, as served"]
+    assert bench_policies.main([*words, *only]) == 0
+    assert len(list(tmp_path.glob("kept/mine-*/card.json"))) == len(words)
+
+
+def test_what_a_policy_can_read_makes_it_another(tmp_path: Path) -> None:
+    files = ["mine.py", "best.npz", "parts/eye.py"]
+    digests = set()
+    for name in [*files, "parts/__pycache__/eye.pyc", ".git/index"]:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(name, "utf-8")
+        digests.add(shut_in.Program.of(str(tmp_path / "mine.py")).sha256)
+    (tmp_path / "best.npz").write_text("trained for longer", "utf-8")
+    digests.add(shut_in.Program.of(str(tmp_path / "mine.py")).sha256)
+    assert len(digests) == len(files) + 1
