@@ -186,6 +186,13 @@ class Book:
         """The card of a policy."""
         mine = {key[1:]: played for key, played in self.found.items() if key[0] == one.folder}
         order = [(task, c.name) for task in names() for c in FULL if (task, c.name) in mine]
+        if not order:
+            known = {"tasks": names(), "conditions": BY_NAME}
+            said = "; ".join(f"{what}: {', '.join(each)}" for what, each in known.items())
+            raise CliError(
+                f"{one.name}: --only leaves no cell; a shift of the picture is played beside "
+                f"'{SERVED}', most others with --full; {said}"
+            )
         cells = [score_card.cell(t, c, BY_NAME[c].blind, mine[t, c]) for t, c in order]
         about = {
             "name": one.name,
@@ -245,7 +252,7 @@ def shown(cards: Sequence[dict[str, Any]]) -> None:
     for card in cards:
         for cell in card["cells"]:
             between = f"{100 * cell['low']:.0f} to {100 * cell['high']:.0f} %"
-            why = max(cell["failures"], key=cell["failures"].get, default="")[:60]
+            why = " ".join(max(cell["failures"], key=cell["failures"].get, default="").split())
             count = f"{cell['k']}/{cell['n']}"
             rows.append(
                 [card["policy"]["name"], cell["task"], cell["condition"], count, between, why]
@@ -261,7 +268,8 @@ def main(words: Sequence[str] | None = None) -> int:
     before, kind = os.getloadavg()[0], "full" if options.full else "quick"
     started = time.monotonic()
     try:
-        seeds = seeds_of(options.phrase, options.rollouts or EPISODES[kind])
+        count = EPISODES[kind] if options.rollouts is None else options.rollouts
+        seeds = seeds_of(options.phrase, count)
         a_card = re.compile(r"(?!.*\.py['\"]? ).*\.json")  # no program with such a word
         given = [word for word in options.policies if not a_card.fullmatch(word)]
         sent = [Path(word) for word in options.policies if a_card.fullmatch(word)]
@@ -269,21 +277,27 @@ def main(words: Sequence[str] | None = None) -> int:
         for file, card in zip(sent, others, strict=True):
             score_card.check(file, card)
         book = Book([entrant(word, options.keep) for word in given], seeds, platform())
+        options.keep.mkdir(parents=True, exist_ok=True)
         for first in (True, False):
             place = replace(options.executor, workers=options.jobs)
             book.play(wanted(book, kind, options.only, first), place)
         machine = {**this_machine(before), "wall_s": round(time.monotonic() - started, 1)}
         versions = provenance.versions()
         cards = [book.card(one, kind, {**machine, "versions": versions}) for one in book.entrants]
-    except (ValueError, OSError, EpisodeError, job_pool.NoExecutor, CliError) as problem:
+        for one, card in zip(book.entrants, cards, strict=True):
+            paths.write_text(one.folder / "card.json", json.dumps(card, indent=1) + "\n")
+            say(f"{one.folder / 'card.json'}: SHA-256 {card['sha256']}")
+        shown([*cards, *others])
+        say(str(score_card_page.write([*cards, *others], options.keep)))
+    except KeyboardInterrupt:
+        say("bench policies: stopped; the same command goes on")
+        return 130
+    except OSError as problem:
+        say(f"bench policies: --keep {options.keep}: {problem}")
+        return 2
+    except (ValueError, EpisodeError, job_pool.NoExecutor, CliError) as problem:
         say(f"bench policies: {problem}")
         return 2
-    for one, card in zip(book.entrants, cards, strict=True):
-        paths.write_text(one.folder / "card.json", json.dumps(card, indent=1) + "\n")
-        say(f"{one.folder / 'card.json'}: SHA-256 {card['sha256']}")
-    options.keep.mkdir(parents=True, exist_ok=True)
-    shown([*cards, *others])
-    say(str(score_card_page.write([*cards, *others], options.keep)))
     return 0
 
 

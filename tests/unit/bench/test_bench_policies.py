@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import functools
 import hashlib
 import json
@@ -269,7 +270,7 @@ def test_policies_of_one_name_have_their_own_cells(
 
 
 def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     played: list[tuple[str, str]] = []
 
@@ -286,8 +287,8 @@ def test_a_card_goes_on_where_it_was_cut_off_and_is_the_same(
     once = list(played)
     played.clear()
     cut = 7
-    with pytest.raises(KeyboardInterrupt):
-        bench_policies.main(["hold", "--keep", str(parts)])
+    assert bench_policies.main(["hold", "--keep", str(parts)]) == 130
+    assert "the same command goes on" in capsys.readouterr().out.splitlines()[-1]
     torn = next(parts.glob("*/cells/*.json"))
     torn.write_text(torn.read_text("utf-8")[:50], "utf-8")
     cut = -1
@@ -340,6 +341,46 @@ def test_words_of_a_program_may_look_like_cards_and_addresses(
     only = ["--keep", str(tmp_path / "kept"), "--only", "bgr, as served"]
     assert bench_policies.main([*words, *only]) == 0
     assert len(list(tmp_path.glob("kept/mine-*/card.json"))) == len(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--only", "bgrr"), "skeleton: --only leaves no cell; .*bgr.*as served, black pictures"),
+        (("--only", "bgr, smoke"), "--only leaves no cell; .*with --full.*smoke"),
+        (("--rollouts", "0"), "0 test seeds: 1 to 1000"),
+        (("--keep", "/proc/nowhere"), "--keep /proc/nowhere: .*No such file"),
+    ],
+)
+def test_a_card_without_a_cell_is_not_written(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...],
+    said: str,
+) -> None:
+    in_process(monkeypatch)
+    before = ["skeleton", "--keep", str(tmp_path), "--only", "bgr, as served"]
+    assert bench_policies.main(before) == 0
+    cards = {file: file.read_bytes() for file in tmp_path.glob("*/card.json")}
+    assert len(cards) == 1
+    assert bench_policies.main([*before, *words]) == 2
+    assert re.search(said, capsys.readouterr().out.splitlines()[-1])
+    assert all(file.read_bytes() == content for file, content in cards.items())
+
+
+def test_a_full_disk_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(cards: Any, folder: Path) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    in_process(monkeypatch)
+    monkeypatch.setattr(bench_policies.score_card_page, "write", full)
+    words = ["skeleton", "--keep", str(tmp_path), "--only", "bgr, as served"]
+    assert bench_policies.main(words) == 2
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert f"--keep {tmp_path}" in last and "No space left" in last
 
 
 def test_what_a_policy_can_read_makes_it_another(tmp_path: Path) -> None:
