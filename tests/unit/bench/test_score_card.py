@@ -70,6 +70,12 @@ def test_the_hash_is_of_everything_but_the_machine() -> None:
         (("cells", 1, "episodes", 0, "late"), None, r"episodes\[0\].late: None; allowed: int"),
         (("seeds",), [1, 2], "the card's are"),
         (("policy", "name"), "another.py", "sha256: .*; its content has"),
+        (("policy", "name"), ["mine.py"], r"policy.name: \['mine.py'\]; allowed: str"),
+        (("policy", "shut_in"), None, "policy.shut_in: None; allowed: bool"),
+        (("cells", 0, "served", 0), 5, r"cells\[0\].served\[0\]: int; allowed: an object"),
+        (("cells", 0, "served", 0, "privileged"), 0, r"privileged: 0; allowed: bool"),
+        (("cells", 0, "task"), "../../bgr", r"cells\[0\].task: '../../bgr'; allowed: letters"),
+        (("cells", 1, "episodes", 0, "sparc"), 10**400, "allowed: a finite number"),
     ],
 )
 def test_a_card_that_was_changed_is_refused(place: tuple[Any, ...], value: Any, said: str) -> None:
@@ -88,5 +94,6 @@ def test_a_page_shows_policies_beside_each_other(tmp_path: Path) -> None:
     page = score_card_page.write([first, second], tmp_path).read_text("utf-8")
     assert page.count("1 of 2 (95 % interval") == 4
     assert "&lt;other&gt;" in page and "<other>" not in page
+    assert "software 1" in page
     assert first["sha256"] in page and "observation.state" in page and "no answer" in page
     assert (tmp_path / "figures/bgr.png").is_file()

@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -41,6 +42,8 @@ _TOP: dict[str, type] = {
     **dict.fromkeys(("policy", "platform", "machine"), dict),
     **dict.fromkeys(("seeds", "cells"), list),
 }
+_POLICY: dict[str, type] = {"name": str, "shut_in": bool}
+_SERVED: dict[str, type] = {"key": str, "privileged": bool}
 _CELL: dict[str, type] = {
     **dict.fromkeys(("task", "condition"), str),
     "blind": bool,
@@ -116,9 +119,14 @@ def check(place: object, content: Any) -> None:
         raise EpisodeError(
             f"{place}: format, kind: {said}; allowed: {FORMAT}, {' or '.join(KINDS)}"
         )
+    _check_object(f"{place}: policy", content["policy"], _POLICY)
     for n, stated in enumerate(content["cells"]):
         where = f"{place}: cells[{n}]"
         _check_object(where, stated, _CELL)
+        if not re.fullmatch(r"\w+", stated["task"]):  # a figure's file gets its name
+            raise EpisodeError(f"{where}.task: {stated['task']!r}; allowed: letters, digits and _")
+        for i, served in enumerate(stated["served"]):
+            _check_object(f"{where}.served[{i}]", served, _SERVED)
         for i, episode in enumerate(stated["episodes"]):
             _check_object(f"{where}.episodes[{i}]", episode, _EPISODE)
             _check_numbers(f"{where}.episodes[{i}]", episode)
@@ -145,5 +153,5 @@ def _check_object(place: object, value: Any, keys: Mapping[str, type]) -> None:
 def _check_numbers(place: object, episode: Entry) -> None:
     for name in MEASURES:
         value = episode.get(name)
-        if value is not None and not (type(value) in (int, float) and math.isfinite(value)):
+        if value is not None and not (type(value) in (int, float) and abs(value) < 1e100):
             raise EpisodeError(f"{place}.{name}: {value!r}; allowed: a finite number or null")

@@ -85,7 +85,7 @@ def _failures(rows: Sequence[tuple[str, Entry]]) -> Markup:
 
 
 def _policies(cards: Sequence[Entry]) -> Markup:
-    """What each policy is, what it was served, and the hash of its card."""
+    """What each policy is, what it was served, where it was played, and its card's hash."""
     parts: list[Markup] = []
     for card in cards:
         policy = card["policy"]
@@ -98,6 +98,7 @@ def _policies(cards: Sequence[Entry]) -> Markup:
             ("It was served", ", ".join(keys) or "nothing"),
             ("Isolation", alone),
             ("Card", f"{card['kind']}, seeds {', '.join(map(str, card['seeds']))}"),
+            ("Platform", ", ".join(f"{name} {v}" for name, v in card["platform"].items())),
             ("SHA-256 of the card", card["sha256"]),
         ]
         parts.append(facts(rows))
