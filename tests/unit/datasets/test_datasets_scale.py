@@ -8,6 +8,7 @@ import json
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 import textwrap
 import threading
@@ -143,6 +144,38 @@ class Deadly(Act):
             os.kill(os.getpid(), signal.SIGKILL)
         super().write_part(sampled, folder, options)
 '''
+
+
+SLEEPER = """
+import time
+from surg_recording.job_pool import Executor, JobCallbacks, run
+if __name__ == "__main__":
+    run(time.sleep, {"a job": 600.0}, Executor(workers=1), JobCallbacks(print, print))
+"""
+
+
+def test_no_worker_outlives_its_killed_parent(tmp_path: Path) -> None:
+    script = tmp_path / "sleeper.py"
+    script.write_text(SLEEPER, "utf-8")
+    with subprocess.Popen([sys.executable, str(script)]) as parent:
+        listed = Path(f"/proc/{parent.pid}/task/{parent.pid}/children")
+        workers: list[Path] = []
+        try:
+            while not workers:
+                assert parent.poll() is None
+                time.sleep(0.1)
+                children = [Path("/proc", pid) for pid in listed.read_text("ascii").split()]
+                workers = [c for c in children if b"spawn_main" in (c / "cmdline").read_bytes()]
+            time.sleep(2.0)  # its imports
+        finally:
+            parent.kill()
+    deadline = time.monotonic() + 20.0
+    while any(worker.exists() for worker in workers) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    left = [worker for worker in workers if worker.exists()]
+    for worker in left:
+        os.kill(int(worker.name), signal.SIGKILL)
+    assert not left
 
 
 def test_a_recording_that_kills_its_process_costs_only_itself(first: Path, tmp_path: Path) -> None:

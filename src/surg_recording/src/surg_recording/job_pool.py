@@ -33,6 +33,8 @@ _RETRIES = 10
 """Workers that may die under one Dask task before it is given up."""
 _M_MMAP_THRESHOLD = -3
 """Parameter of mallopt(3): larger blocks are mapped, and unmapped when they are freed."""
+_PR_SET_PDEATHSIG = 1
+"""Option of prctl(2): the signal that this process gets when its parent dies."""
 
 
 class NoExecutor(RuntimeError):
@@ -131,13 +133,15 @@ def _pool(
 
 
 def _begin_worker() -> None:
-    """Leave signals to the parent, and give freed arrays back to the system.
+    """Leave signals to the parent, end with it, and give freed arrays back to the system.
 
-    Ctrl-C reaches the whole terminal group; the parent ends its workers itself. glibc keeps freed
-    blocks of up to 32 MiB, so that a worker would stay as large as its largest job made it.
+    Ctrl-C reaches the whole terminal group; the parent ends its workers itself, unless it is
+    killed. glibc keeps freed blocks of up to 32 MiB, so that a worker would stay as large as its
+    largest job made it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(AttributeError, OSError):  # not glibc
+    with contextlib.suppress(AttributeError, OSError):  # not Linux, or not glibc
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
         ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, 1 << 16)
 
 
