@@ -7,6 +7,7 @@
 #include <iostream>
 #include <random>
 
+#include "support/next_command.hpp"
 #include "support/next_joints.hpp"
 #include "support/test_arm.hpp"
 #include "support/test_support.hpp"
@@ -161,6 +162,15 @@ TEST(Wrist, RatesStayBoundedAtTheSingularPose) {
   }
 }
 
+/// To a pose of the tip. With 'slide' the wrist goes to the end of its range, if need be.
+MotionCommand to_tip(Motion motion, const Vector3& p, const Eigen::Quaterniond& rotation,
+                     bool slide = false) {
+  MotionCommand command = test::command(motion, p);
+  command.rotation = rotation;
+  command.slide = slide;
+  return command;
+}
+
 /// A controller with a wrist, its arm (each joint with a lag) and a drive with another lag.
 class WristBench {
  public:
@@ -199,18 +209,14 @@ class WristBench {
   }
 
   Reason send(MotionCommand command) {
-    command.source = 7;
+    command.source = test::kMe;
     in_.commands[in_.n_commands++] = command;
     tick();
     return out_->verdicts[0].reason;
   }
 
   Reason servo_cp(const TipFrame& tip) {
-    MotionCommand command;
-    command.motion = Motion::kServoCp;
-    command.p = tip.p;
-    command.rotation = Eigen::Quaterniond(tip.R);
-    return send(command);
+    return send(to_tip(Motion::kServoCp, tip.p, Eigen::Quaterniond(tip.R)));
   }
 
   /// The true tip, from the joints of arm and drive alone.
@@ -363,16 +369,23 @@ PathError follow_hand(double drive_lag, double stated_lag, WristBench::Drive dri
   return worst;
 }
 
+/// The hand is followed behind a drive that lags as stated.
+PathError expect_path(double lag, WristBench::Drive drive, bool rolls = false,
+                      TipFrame (*hand)(double) = hand_at) {
+  const PathError error = follow_hand(lag, lag, drive, rolls, hand);
+  std::cout << lag << " s: tip " << 1e3 * error.tip << " mm, " << error.angle * 180 / M_PI
+            << " degrees, pivot " << 1e6 * error.pivot << " um\n";
+  EXPECT_LT(error.tip, 3e-4) << lag;
+  EXPECT_LT(error.angle, 0.0175) << lag;
+  EXPECT_LT(error.pivot, 1e-4) << lag;
+  return error;
+}
+
 TEST(Wrist, TheTipKeepsItsPathBehindADriveThatLagsOtherwise) {
   using Drive = WristBench::Drive;
   for (const Drive drive : {Drive::kFirst, Drive::kSecond, Drive::kDeadTime})
     for (const double lag : {0.02, 0.04, 0.06}) {
-      const PathError error = follow_hand(lag, lag, drive);
-      std::cout << lag << " s: tip " << 1e3 * error.tip << " mm, " << error.angle * 180 / M_PI
-                << " degrees, pivot " << 1e6 * error.pivot << " um\n";
-      EXPECT_LT(error.tip, 3e-4) << lag;
-      EXPECT_LT(error.angle, 0.0175) << lag;
-      EXPECT_LT(error.pivot, 1e-4) << lag;
+      const PathError error = expect_path(lag, drive);
       // Unmatched, the tip leaves its path by speed times the difference of the lags.
       if (lag > 0.03) EXPECT_GT(follow_hand(lag, 0.012, drive).angle, 2 * error.angle) << lag;
     }
@@ -381,22 +394,14 @@ TEST(Wrist, TheTipKeepsItsPathBehindADriveThatLagsOtherwise) {
 /// The arm's roll has 2 rad/s and 25 rad/s^2, which a surgeon's hand exceeds.
 TEST(Wrist, ARollThatNoArmHasIsTheDrives) {
   const auto second = WristBench::Drive::kSecond;
-  for (const double lag : {0.02, 0.04, 0.06}) {
-    const PathError error = follow_hand(lag, lag, second, true, quick_hand_at);
-    std::cout << lag << " s: tip " << 1e3 * error.tip << " mm, " << error.angle * 180 / M_PI
-              << " degrees, pivot " << 1e6 * error.pivot << " um\n";
-    EXPECT_LT(error.tip, 3e-4) << lag;
-    EXPECT_LT(error.angle, 0.0175) << lag;
-    EXPECT_LT(error.pivot, 1e-4) << lag;
-  }
+  for (const double lag : {0.02, 0.04, 0.06}) expect_path(lag, second, true, quick_hand_at);
   EXPECT_GT(follow_hand(0.04, 0.04, second, false, quick_hand_at).angle, 0.05);
 }
 
 /// Roll commands name the sum; the arm keeps its part.
 TEST(Wrist, JointCommandsNameTheWholeRoll) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command;
-  command.motion = Motion::kMoveJp;
+  MotionCommand command = test::command(Motion::kMoveJp);
   command.joints = {0.1, -0.1, 0.1, 1.5};
   command.wrist = {0.3, -0.4, 0};
   const auto arrive = [&] {
@@ -430,8 +435,7 @@ TEST(Wrist, JointCommandsNameTheWholeRoll) {
 
 TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command;
-  command.motion = Motion::kMoveJp;
+  MotionCommand command = test::command(Motion::kMoveJp);
   command.joints = {0, 0, 0.1, 0.2};
   ASSERT_EQ(bench.send(command), Reason::kNone);
   for (int k = 0; k < 800; ++k) bench.tick();
@@ -462,8 +466,7 @@ TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
 
 TEST(Wrist, TheToolKeepsItsPlaceWhereTheDrivesRollEnds) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command;
-  command.motion = Motion::kServoCp;
+  MotionCommand command = test::command(Motion::kServoCp);
   command.p = hand_at(0).p;
   for (int k = 0; k < 1600; ++k) {  // it turns on to 3 rad
     command.slide = k < 1500;
@@ -484,11 +487,8 @@ TEST(Wrist, AMoveEndsAtThePoseThatWasAsked) {
     pose.centre.p = 0.1 * Vector3(0.2, -0.1, 1 + 0.01 * i).normalized();
     pose.centre.R = shaft_rotation(pose.centre.p.normalized(), 0.05 * i - 0.5);
     const TipFrame goal = tip_of_wrist(bench.mounted(), pose);
-    MotionCommand command;
-    command.motion = Motion::kMoveCp;
-    command.p = goal.p;
-    command.rotation = Eigen::Quaterniond(goal.R);
-    ASSERT_EQ(bench.send(command), Reason::kNone);
+    ASSERT_EQ(bench.send(to_tip(Motion::kMoveCp, goal.p, Eigen::Quaterniond(goal.R))),
+              Reason::kNone);
     int ticks = 0;
     while (bench.tick().busy && ++ticks < 3000) {
     }
@@ -507,8 +507,7 @@ TEST(Wrist, AVelocityOfTheTipIsFollowedInAllSixDirections) {
     const int axis = i % 6;
     WristBench bench(0.02, 0.02, WristBench::Drive::kSecond, i >= 6);
     const TipFrame before = bench.tip();
-    MotionCommand command;
-    command.motion = Motion::kServoCv;
+    MotionCommand command = test::command(Motion::kServoCv);
     if (axis < 3) command.p = 0.01 * Vector3::Unit(axis);
     if (axis >= 3) command.omega = 0.3 * Vector3::Unit(axis - 3);
     for (int k = 0; k < 500; ++k) ASSERT_EQ(bench.send(command), Reason::kNone);
@@ -541,12 +540,8 @@ TEST(Wrist, JointEndsAreRefusedOrSlidAlongNeverLeapt) {
   EXPECT_TRUE(refused);
   WristBench sliding(0.04, 0.04);
   for (int k = 0; k < 1500; ++k) {
-    MotionCommand command;
-    command.motion = Motion::kServoCp;
-    command.slide = true;
-    command.p = hand_at(0).p;
-    command.rotation =
-        Eigen::Quaterniond(Eigen::AngleAxisd(std::min(2.0, k * 0.002), Vector3::UnitX()));
+    const Eigen::Quaterniond turn(Eigen::AngleAxisd(std::min(2.0, k * 0.002), Vector3::UnitX()));
+    const MotionCommand command = to_tip(Motion::kServoCp, hand_at(0).p, turn, true);
     ASSERT_EQ(sliding.send(command), Reason::kNone) << k;
   }
   EXPECT_GT(std::abs(sliding.in().wrist[1]), 1.39);
@@ -559,12 +554,8 @@ TEST(Wrist, TheTipKeepsItsPlaceWhileAJointMeetsItsEnd) {
     double away = 0, most = 0;
     for (int k = 0; k < 2500; ++k) {
       const double t = k * kT, angle = std::min({fast * t, 2.0, 2.0 - fast * (t - 3)});
-      MotionCommand command;
-      command.motion = Motion::kServoCp;
-      command.slide = true;
-      command.p = hand_at(0).p;
-      command.rotation =
-          Eigen::Quaterniond(Eigen::AngleAxisd(std::max(0.0, angle), Vector3::UnitX()));
+      const Eigen::Quaterniond turn(Eigen::AngleAxisd(std::max(0.0, angle), Vector3::UnitX()));
+      const MotionCommand command = to_tip(Motion::kServoCp, hand_at(0).p, turn, true);
       if (k % 5 > 0) bench.tick();
       if (k % 5 == 0) ASSERT_EQ(bench.send(command), Reason::kNone) << k;
       away = std::max(away, (bench.tip().p - hand_at(0).p).norm());
@@ -581,8 +572,7 @@ TEST(Wrist, AVelocityKeepsThePlaceOfTheTipWhereAJointEnds) {
   for (int axis = 0; axis < 2; ++axis) {
     WristBench bench(0.04, 0.04);
     const TipFrame before = bench.tip();
-    MotionCommand command;
-    command.motion = Motion::kServoCv;
+    MotionCommand command = test::command(Motion::kServoCv);
     command.omega = 0.8 * Vector3::Unit(axis);
     double away = 0, most = 0;
     for (int k = 0; k < 2000; ++k) {  // it asks for 3.2 rad
@@ -611,8 +601,7 @@ TEST(Wrist, AStreamNeverThrowsTheWrist) {
 TEST(Wrist, AStreamNeverThrowsAWristThatTurnsInItsPlace) {
   for (int joint = 0; joint < 2; ++joint) {
     WristBench bench(0.04, 0.04);
-    MotionCommand still;
-    still.motion = Motion::kServoJp;
+    MotionCommand still = test::command(Motion::kServoJp);
     still.joints[2] = bench.out().depth;
     MotionCommand turned = still;
     turned.wrist[joint] = 0.5;
@@ -626,9 +615,7 @@ TEST(Wrist, AStreamNeverThrowsAWristThatTurnsInItsPlace) {
 TEST(Wrist, AHeldStreamStaysHeldWhileItAsksForWhatIsOutOfRange) {
   WristBench bench(0.04, 0.04);
   bench.servo_cp(hand_at(0));
-  MotionCommand hold;
-  hold.motion = Motion::kHold;
-  bench.send(hold);
+  bench.send(test::command(Motion::kHold));
   TipFrame beyond = hand_at(0);
   beyond.R = Eigen::AngleAxisd(2.0, Vector3::UnitX()).toRotationMatrix();
   for (int k = 0; k < 100; ++k) EXPECT_EQ(bench.servo_cp(beyond), Reason::kHeld);
@@ -636,10 +623,9 @@ TEST(Wrist, AHeldStreamStaysHeldWhileItAsksForWhatIsOutOfRange) {
 }
 
 TEST(Wrist, WhatIsNotFiniteIsAFault) {
-  MotionCommand joints, twist;
-  joints.motion = Motion::kServoJv;
+  MotionCommand joints = test::command(Motion::kServoJv);
   joints.wrist[1] = NAN;
-  twist.motion = Motion::kServoCv;
+  MotionCommand twist = test::command(Motion::kServoCv);
   twist.omega[0] = INFINITY;
   for (const MotionCommand& command : {joints, twist}) {
     WristBench bench(0.04, 0.04);
@@ -657,9 +643,7 @@ TEST(Wrist, EveryStopBringsTheDriveToRestWithinItsAcceleration) {
     for (int k = 0; k < 700; ++k) bench.servo_cp(hand_at(k * kT));
     const DriveJoints at = bench.out().wrist.command;
     if (stop == Stop::kHold) {
-      MotionCommand command;
-      command.motion = Motion::kHold;
-      bench.send(command);
+      bench.send(test::command(Motion::kHold));
     }
     if (stop == Stop::kPause) bench.controller().request(StateCommand::kPause);
     if (stop == Stop::kFault) bench.controller().fault(Reason::kForce);
