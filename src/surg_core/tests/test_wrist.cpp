@@ -401,8 +401,7 @@ TEST(Wrist, ARollThatNoArmHasIsTheDrives) {
 /// Roll commands name the sum; the arm keeps its part.
 TEST(Wrist, JointCommandsNameTheWholeRoll) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command = test::command(Motion::kMoveJp);
-  command.joints = {0.1, -0.1, 0.1, 1.5};
+  MotionCommand command = test::joints(Motion::kMoveJp, Vector4(0.1, -0.1, 0.1, 1.5));
   command.wrist = {0.3, -0.4, 0};
   const auto arrive = [&] {
     ASSERT_EQ(bench.send(command), Reason::kNone);
@@ -435,8 +434,7 @@ TEST(Wrist, JointCommandsNameTheWholeRoll) {
 
 TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command = test::command(Motion::kMoveJp);
-  command.joints = {0, 0, 0.1, 0.2};
+  MotionCommand command = test::joints(Motion::kMoveJp, Vector4(0, 0, 0.1, 0.2));
   ASSERT_EQ(bench.send(command), Reason::kNone);
   for (int k = 0; k < 800; ++k) bench.tick();
   ASSERT_EQ(bench.controller().request(StateCommand::kPause), Reason::kNone);
@@ -466,8 +464,7 @@ TEST(Wrist, TheArmsOwnRollIsPartOfTheSum) {
 
 TEST(Wrist, TheToolKeepsItsPlaceWhereTheDrivesRollEnds) {
   WristBench bench(0.04, 0.04, WristBench::Drive::kSecond, true);
-  MotionCommand command = test::command(Motion::kServoCp);
-  command.p = hand_at(0).p;
+  MotionCommand command = test::command(Motion::kServoCp, hand_at(0).p);
   for (int k = 0; k < 1600; ++k) {  // it turns on to 3 rad
     command.slide = k < 1500;
     command.rotation =

@@ -162,9 +162,7 @@ TEST(Controller, AJointLimitHoldsTheArmAndLetsItGoAgain) {
             robot.home[joint] + side * 0.03;
         Bench bench({}, 0, 0, 0, &robot);
         const auto push = [&](double x) {
-          MotionCommand command = test::command(Motion::kServoCv);
-          command.p = Vector3(x, x, 0);
-          bench.ask(command);
+          bench.ask(test::command(Motion::kServoCv, Vector3(x, x, 0)));
           for (int j = 0; j < 6; ++j) {
             ASSERT_LE(bench.in().q[j], robot.position_max[j]);
             ASSERT_GE(bench.in().q[j], robot.position_min[j]);
@@ -209,17 +207,12 @@ TEST(Controller, AStreamDoesNotTalkOverAHold) {
       if (motion == Motion::kServoCp) {
         bench.servo_cp(Vector3(0.02 * i * kT, 0, 0.12));
       } else {
-        MotionCommand command = test::command(motion);
-        command.p = Vector3(0.02, 0, 0);
-        bench.send(command);
+        bench.send(test::command(motion, Vector3(0.02, 0, 0)));
       }
       bench.tick();
     };
     for (int i = 0; i < 200; ++i) stream(i);
-    MotionCommand hold;
-    hold.motion = Motion::kHold;
-    hold.source = kOther;
-    bench.ask(hold);
+    bench.ask(command(Motion::kHold, kOther));
     const Vector3 at = bench.tip_in_R();
     for (int i = 201; i < 500; ++i) {
       stream(i);
@@ -396,9 +389,7 @@ TEST(Controller, BusyHasAnEdgeEvenForAMoveOfZeroLength) {
   Bench bench;
   for (int i = 0; i < 10; ++i) bench.tick();
   EXPECT_FALSE(bench.out().busy);
-  MotionCommand move = test::command(Motion::kMoveCp);
-  move.p = bench.tip_in_R();
-  bench.send(move);
+  bench.send(test::command(Motion::kMoveCp, bench.tip_in_R()));
   EXPECT_TRUE(bench.tick().busy);
   for (int i = 0; i < 1000 && bench.out().busy; ++i) bench.tick();
   EXPECT_FALSE(bench.out().busy);

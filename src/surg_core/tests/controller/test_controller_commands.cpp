@@ -9,12 +9,6 @@ namespace {
 
 using namespace test;
 
-MotionCommand joints(Motion motion, const Vector4& values) {
-  MotionCommand out = command(motion);
-  out.joints = values;
-  return out;
-}
-
 /// Ticks until the arm is no longer busy; how many.
 int wait(Bench& bench, int most = 4000) {
   int n = 0;
@@ -201,8 +195,7 @@ TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
         wait(bench);
       }
       if (stop == Stop::kPausedInMotion) {
-        MotionCommand fast = command(Motion::kServoCv, Vector3(0.25, 0, 0));
-        for (int i = 0; i < 150; ++i) bench.ask(fast);
+        for (int i = 0; i < 150; ++i) bench.ask(command(Motion::kServoCv, Vector3(0.25, 0, 0)));
       } else {
         bench.send(command(Motion::kRetrace));
         for (int i = 0; i < 1000; ++i) bench.tick();
@@ -567,8 +560,7 @@ TEST(Surface, AHardForceAndTheTrocarsLoadStopInTheSameCycle) {  // F25
   for (const bool at_tip : {true, false}) {
     for (const Vector3& f : {Vector3(at_tip ? 8.01 : 15.01, 0, 0), Vector3(NAN, 0, 0)}) {
       Bench bench;
-      MotionCommand push = command(Motion::kServoCv, Vector3(0.03, 0, 0));
-      for (int i = 0; i < 200; ++i) bench.ask(push);
+      for (int i = 0; i < 200; ++i) bench.ask(command(Motion::kServoCv, Vector3(0.03, 0, 0)));
       const JointVector before = bench.out().qd_command, most = kT * bench.robot().acceleration;
       EXPECT_GT(before.norm(), 1e-3);
       (at_tip ? bench.in().tip_force : bench.in().trocar_force) = {true, f};

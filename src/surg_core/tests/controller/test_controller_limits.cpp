@@ -42,8 +42,7 @@ TEST(ControllerLimits, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   Controller::Options options;
   options.law = Law::kVelocity;
   Bench aside(options);  // a tip that is 1 mm off the set-point, on the pivot
-  MotionCommand command = test::command(Motion::kMoveCp, Vector3(-0.001, 0, 0.12));
-  aside.send(command);
+  aside.send(test::command(Motion::kMoveCp, Vector3(-0.001, 0, 0.12)));
   for (int i = 0; i < 1000; ++i) aside.tick();
   for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
     Bench bench(options);
@@ -134,8 +133,7 @@ TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
     Controller::Options options;
     options.law = law;
     Bench aside(options);
-    MotionCommand command = test::command(Motion::kMoveCp, Vector3(-0.004, 0, 0.12));
-    aside.send(command);
+    aside.send(test::command(Motion::kMoveCp, Vector3(-0.004, 0, 0.12)));
     for (int i = 0; i < 1000; ++i) aside.tick();
     Bench bench(options);  // its set-point is at home, and there it stays
     bench.in().qd = (aside.in().q - bench.in().q) / test::kT;  // pushed there in one cycle
@@ -196,8 +194,7 @@ TEST(ControllerLimits, AStreamMayNotJumpInRoll) {
 
 TEST(ControllerLimits, TooFastAWishKeepsItsDirection) {
   Bench bench;
-  MotionCommand command = test::command(Motion::kServoCv, Vector3(1.0, 0, 0.5));
-  for (int i = 0; i < 120; ++i) bench.ask(command);
+  for (int i = 0; i < 120; ++i) bench.ask(test::command(Motion::kServoCv, Vector3(1.0, 0, 0.5)));
   const Vector3 v = bench.controller().X_BR().linear().transpose() * bench.out().v_set;
   EXPECT_GT(v.x(), 0.05);
   EXPECT_NEAR(v.z(), 0.5 * v.x(), 0.05 * v.x());

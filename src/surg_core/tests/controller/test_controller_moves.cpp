@@ -186,8 +186,7 @@ TEST(ControllerMoves, AResumeAtAnyTimeOfTheRampKeepsTheJointsAcceleration) {
     double worst = 0;
     for (const int after : {-30, -10, 0, 1, 2, 3}) {  // cycles after the arm counts as at rest
       Bench bench({law}, 0, 0, 0, &robot);
-      MotionCommand aside = command(Motion::kServoCv, Vector3(0.03, 0, 0));
-      for (int i = 0; i < 400; ++i) bench.ask(aside);
+      for (int i = 0; i < 400; ++i) bench.ask(command(Motion::kServoCv, Vector3(0.03, 0, 0)));
       bench.controller().request(StateCommand::kPause);
       JointVector last = bench.in().qd;
       const auto tick = [&] {

@@ -35,9 +35,7 @@ TEST(ToolChange, RefusedUnlessDisabledAndAtRest) {
   EXPECT_EQ(change(), Reason::kToolWhileEnabled);
   controller.request(StateCommand::kEnable);
   for (int i = 0; i < 200; ++i) {
-    MotionCommand command = test::command(Motion::kServoCv);
-    command.p = {0.1, 0, 0};
-    bench.ask(command);
+    bench.ask(test::command(Motion::kServoCv, Vector3(0.1, 0, 0)));
   }
   controller.request(StateCommand::kDisable);
   EXPECT_EQ(change(), Reason::kNotAtRest);
@@ -74,9 +72,7 @@ TEST(ToolChange, NewToolIsTheOneThatMovesOnThePivot) {
   EXPECT_EQ(bench.tick().qd_command.norm(), 0) << "not before home";
   ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
   const Vector3 trocar = bench.out().p_BRcm;
-  MotionCommand move = test::command(Motion::kMoveJp);
-  move.joints = {0.2, -0.15, 0.13, 0.5};
-  bench.send(move);
+  bench.send(test::joints(Motion::kMoveJp, Vector4(0.2, -0.15, 0.13, 0.5)));
   MotionCommand jaw = test::command(Motion::kJawMoveJp);
   jaw.jaw = 2.0;
   bench.send(jaw);
@@ -98,9 +94,7 @@ TEST(ToolChange, NewToolIsTheOneThatMovesOnThePivot) {
 TEST(ToolChange, OldWayBackAndTargetsAreGone) {
   Bench bench;
   Controller& controller = bench.controller();
-  MotionCommand aside = test::command(Motion::kMoveJp);
-  aside.joints = {0.1, 0, 0.12, 0};
-  bench.send(aside);
+  bench.send(test::joints(Motion::kMoveJp, Vector4(0.1, 0, 0.12, 0)));
   for (int i = 0; i < 1500; ++i) bench.tick();
   controller.request(StateCommand::kDisable);
   for (int i = 0; i < 100; ++i) bench.tick();
@@ -111,8 +105,7 @@ TEST(ToolChange, OldWayBackAndTargetsAreGone) {
   ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
   ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
   const JointVector q = bench.in().q;
-  MotionCommand back = test::command(Motion::kRetrace);
-  bench.send(back);
+  bench.send(test::command(Motion::kRetrace));
   bool no_trace = false;
   for (int i = 0; i < 500; ++i) no_trace = bench.tick().reason == Reason::kNoTrace || no_trace;
   EXPECT_TRUE(no_trace);

@@ -24,6 +24,13 @@ inline MotionCommand command(Motion motion, const Vector3& p) {
   return out;
 }
 
+/// One with joints of the trocar frame.
+inline MotionCommand joints(Motion motion, const Vector4& values) {
+  MotionCommand out = command(motion);
+  out.joints = values;
+  return out;
+}
+
 /// Adds one to the inputs.
 inline MotionCommand& next_command(Inputs& in, Motion motion, std::uint32_t source = kMe) {
   return in.commands[in.n_commands++] = command(motion, source);
