@@ -251,7 +251,8 @@ def _end_of(program: subprocess.Popen[bytes] | None, folder: Path) -> str:
     if code is None:
         return ""
     how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-    return f"its program {how}: {shut_in.last_words(folder)}"
+    nothing = "it printed nothing; ./surg policy new NAME writes one that connects"
+    return f"its program {how}: {shut_in.last_words(folder) or nothing}"
 
 
 def _served(policy: WirePolicy) -> list[dict[str, Any]]:

@@ -149,6 +149,7 @@ def test_a_policy_that_tries_finds_nothing(
     [
         ("return np.full(5, np.nan)", "", {}, "BadAction"),
         ("os._exit(3)", "", {}, r"its program ended \(3\)"),
+        ("", "sys.exit()", {}, r"its program ended \(0\): it printed nothing; \./surg policy new"),
         ("os.kill(os.getpid(), 9)", "", {}, "its program ended|was killed by signal 9"),
         ("time.sleep(600)", "", {"answer_s": 2.0}, "no answer to an observation within 2 s"),
         ("", "Policy.wants = ('observation.touch',)", {}, "refused: observation observation.touch"),
@@ -160,7 +161,16 @@ def test_a_policy_that_tries_finds_nothing(
         ),
         ("", "open('/tmp/full', 'wb').write(bytes(200 << 20))", {}, "File size limit|ended|signal"),
     ],
-    ids=["NaN", "dies", "killed", "never answers", "unknown key", "another rate", "fills the disk"],
+    ids=[
+        "NaN",
+        "dies",
+        "serves nobody",
+        "killed",
+        "never answers",
+        "unknown key",
+        "another rate",
+        "fills the disk",
+    ],
 )
 def test_a_bad_policy_fails_its_cell_with_a_reason(
     play: Callable[..., dict[str, Any]], body: str, extra: str, job: Any, said: str
