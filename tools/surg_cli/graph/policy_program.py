@@ -86,9 +86,10 @@ def connect(
 
     def missing() -> list[str]:
         if client is not None and client.exit_code is not None:
+            nothing = "it printed nothing; ./surg policy new NAME writes one that connects"
             raise ProgramDied(
                 f"the policy's program ended ({client.exit_code}) before it had connected:\n"
-                f"{client.log_tail(LAST_LINES)}"
+                f"{client.log_tail(LAST_LINES) or nothing}"
             )
         return [] if watch.policy.waiting else [waited_for]
 
