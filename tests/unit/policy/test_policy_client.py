@@ -26,6 +26,7 @@ from surg_policy_client import (
     serve,
 )
 from surg_policy_client.link import Link
+from surg_policy_client.serving import wanted
 from surg_policy_client.wire import Message, decode
 
 STATE = "observation.state"
@@ -525,3 +526,9 @@ def test_numbers_have_names_and_holding_is_an_action() -> None:
         observation.named("PSM1/speed")
     with pytest.raises(KeyError, match="name it in `wants`"):
         Observation({}, 0, 0, 0, "", spec()).held_action()
+    with pytest.raises(KeyError, match=r"images.left: not served.*`wants`.*observation.state"):
+        observation["observation.images.left"]
+
+
+def test_wants_may_be_one_key() -> None:
+    assert wanted(STATE) == wanted([STATE])

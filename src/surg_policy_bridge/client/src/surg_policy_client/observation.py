@@ -57,7 +57,14 @@ class Observation:
         return cls(message.arrays, spec=spec, **message.head)
 
     def __getitem__(self, key: str) -> np.ndarray:
-        """Array by key."""
+        """Array by key.
+
+        Raises:
+            KeyError: It is not served.
+        """
+        if key not in self.arrays:
+            there = ", ".join(self.arrays)
+            raise KeyError(f"{key}: not served; name it in `wants`; there are {there}")
         return self.arrays[key]
 
     def named(self, name: str, key: str = STATE) -> float:

@@ -51,7 +51,9 @@ class Served:
 
 def wanted(wants: Wants) -> Spec | None:
     """Observations as a spec; keys alone match any shape and type."""
-    return wants if wants is None or isinstance(wants, Spec) else Spec.of_keys(list(wants))
+    if wants is None or isinstance(wants, Spec):
+        return wants
+    return Spec.of_keys([wants] if isinstance(wants, str) else list(wants))
 
 
 def serve(
