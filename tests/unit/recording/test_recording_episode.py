@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -326,6 +327,25 @@ def test_versions_name_what_computes() -> None:
     found = provenance.versions()
     for name in ("python", "numpy", "scipy", "av", "surg_recording"):
         assert found[name]
+
+
+@pytest.mark.skipif(not shutil.which("git"), reason="missing: git")
+def test_two_changed_source_trees_have_two_versions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = tmp_path / "code.py"
+    monkeypatch.setattr(provenance, "__file__", str(code))
+    assert provenance.software_version() is None
+    git = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b"]
+    known = []
+    for words in ("init", "add .", "commit -m a"):
+        code.write_text("speed = 1\n")
+        subprocess.run([*git, *words.split()], check=True, capture_output=True)
+    for speed in (1, 2, 3, 2):
+        code.write_text(f"speed = {speed}\n")
+        known.append(provenance.software_version())
+    assert known[1] == known[3] and len(set(known)) == 3
+    assert "-dirty-" not in str(known[0]) and "-dirty-" in str(known[1])
 
 
 def test_messages_need_no_ros() -> None:

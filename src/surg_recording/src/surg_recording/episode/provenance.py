@@ -160,12 +160,20 @@ def host() -> dict[str, Any]:
 
 
 def software_version() -> str | None:
-    """``git describe --always --dirty`` of the source tree, or None outside one."""
-    argv = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty"]
+    """``git describe --always --dirty`` of the source tree, or None outside one.
+
+    Of a tree with uncommitted changes also eight digits of their SHA-256: one is not another.
+    """
+    version = _git("describe", "--always", "--dirty", "--tags").decode().strip()
+    if version.endswith("-dirty"):
+        version += f"-{hashlib.sha256(_git('diff', 'HEAD')).hexdigest()[:8]}"
+    return version or None
+
+
+def _git(*words: str) -> bytes:
+    """What git says of the source tree; nothing outside one."""
+    argv = ["git", "-C", str(Path(__file__).resolve().parent), *words]
     try:
-        answer = subprocess.run(
-            [*argv, "--tags"], capture_output=True, text=True, timeout=5.0, check=False
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return answer.stdout.strip() or None if answer.returncode == 0 else None
+        return subprocess.run(argv, capture_output=True, timeout=5.0, check=True).stdout
+    except (OSError, subprocess.SubprocessError):
+        return b""
