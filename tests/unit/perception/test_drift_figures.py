@@ -144,7 +144,6 @@ CHANGED = [
     (drift_evidence, "LENGTHS", ((8, 16, 32), (8, 32, 128))),
     (drift_evidence, "PERIOD", (0.25, 1.0)),
     (drift_evidence, "SOONER", (0.1, 0.5)),
-    (drift_evidence, "FORETOLD", (0.5, 4.0)),
     (drift_evidence, "STABLE", (0.0, 1.0)),
     (drift_evidence, "SCALES", ((1.0,), (0.1, 1.0))),
     (drift_fits, "WRONG", (3.0, 12.0)),

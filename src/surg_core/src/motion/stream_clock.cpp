@@ -17,7 +17,7 @@ constexpr double kMissing = 0.6;      // of a period: a sample is missing
 constexpr double kRegular = 0.1;      // of a period: less jitter shows missing samples
 constexpr double kAlone = 0.9;        // of the samples: each was the only one of its cycle
 constexpr double kUneven = 1e-4;      // [s] by which cycles differ that are no period
-constexpr double kKeepsTo = 0.5;      // of kUneven: a sample that answers a cycle keeps to it
+constexpr double kKeepsTo = 0.5;      // of the arrivals' roughness, of what answers cycles
 
 double share_of(double time) { return std::min(time / kMemory, 1.0); }
 

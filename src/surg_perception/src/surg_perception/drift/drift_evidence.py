@@ -40,8 +40,6 @@ PERIOD = 0.5
 """[s] Least time between two judgements; bounds the cost, whatever the pictures' rate."""
 SOONER = 0.3
 """[s] The same while a motion waits to be confirmed."""
-FORETOLD = 1.0
-"""[sigma^2] Largest median residual of sightings that a motion foretold, with its uncertainty."""
 STABLE = 0.3
 """What may change while nothing moves, as a share of the calibration's sigmas: warmth, bending."""
 SCALES = (0.1, 0.3, 1.0)
@@ -216,7 +214,7 @@ class DriftEvidence:
             return True
         x, covariance = self._foretelling
         told, _ = self._told(slice(-self._new, None), (x * self._unit)[: self._rows.steps])
-        return float(np.median(foretold(told, x, covariance))) < FORETOLD
+        return float(np.median(foretold(told, x, covariance))) < MISFIT
 
     def _hypotheses(self, mask: FloatArray, rest: Fits) -> tuple[Fits, list[FloatArray]]:
         """Fits of all kinds at each of T times, and for each kind the places of the newest.
