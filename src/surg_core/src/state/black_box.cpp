@@ -81,12 +81,9 @@ BlackBox::Block& BlackBox::room_for(int events) {
 
 /// Makes a call and notes it with its answer.
 Reason BlackBox::make(const BlackBoxEvent& event) {
-  BlackBoxEvent* noted = note(event.kind);
+  BlackBoxEvent* noted = note(event);
   const Reason answer = call(controller_, event);
-  if (noted) {
-    *noted = event;
-    noted->answer = answer;
-  }
+  if (noted) noted->answer = answer;
   return answer;
 }
 
@@ -109,7 +106,7 @@ Reason BlackBox::set_fixture(const Fixture& fixture) {
 }
 
 Reason BlackBox::remove_fixture(std::string_view name) {
-  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kRemoveFixture);
+  BlackBoxEvent* event = note({BlackBoxEvent::Kind::kRemoveFixture});
   const Reason answer = controller_.remove_fixture(name);
   if (event) {
     event->fixture.set_name(name);
@@ -147,14 +144,13 @@ Reason BlackBox::claim(std::uint32_t source) {
   return make(event);
 }
 
-/// Room for a call that is about to be made; none while frozen.
-BlackBoxEvent* BlackBox::note(BlackBoxEvent::Kind kind) {
+/// Notes a call that is about to be made; its answer is still to come. None while frozen.
+BlackBoxEvent* BlackBox::note(const BlackBoxEvent& event) {
   if (!recording_now()) return nullptr;
   Block& block = room_for(1);
-  BlackBoxEvent& event = block.events[block.n_events++];
-  event = BlackBoxEvent{};
-  event.kind = kind;
-  return &event;
+  BlackBoxEvent& noted = block.events[block.n_events++];
+  noted = event;
+  return &noted;
 }
 
 const Outputs& BlackBox::step(const Inputs& inputs) {

@@ -120,7 +120,7 @@ class BlackBox {
   bool recording_now();
   Block& room_for(int events);
   Reason make(const BlackBoxEvent& event);
-  BlackBoxEvent* note(BlackBoxEvent::Kind kind);
+  BlackBoxEvent* note(const BlackBoxEvent& event);
   void watch(State now, bool recorded);
 
   Controller& controller_;
