@@ -43,6 +43,8 @@ from surg_sim.tasks import episode_seeds, names
 
 EPISODES = {"quick": 3, "full": 20}
 """Of each cell."""
+A_CARD = re.compile(r"(?!.*\.py['\"]? ).*\.json")
+"""The name of a sent card, not a program whose last word is such a file."""
 SERVED = QUICK[0].name
 """The condition that shows what a policy reads."""
 
@@ -270,9 +272,8 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         count = EPISODES[kind] if options.rollouts is None else options.rollouts
         seeds = seeds_of(options.phrase, count)
-        a_card = re.compile(r"(?!.*\.py['\"]? ).*\.json")  # no program with such a word
-        given = [word for word in options.policies if not a_card.fullmatch(word)]
-        sent = [Path(word) for word in options.policies if a_card.fullmatch(word)]
+        given = [word for word in options.policies if not A_CARD.fullmatch(word)]
+        sent = [Path(word) for word in options.policies if A_CARD.fullmatch(word)]
         others = [file_io.read_json(file) for file in sent]
         for file, card in zip(sent, others, strict=True):
             score_card.check(file, card)

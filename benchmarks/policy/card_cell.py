@@ -23,6 +23,7 @@ from policy.wire_policy import (
 )
 from scipy.spatial.transform import Rotation
 
+from surg_cli.graph.policy_program import WORDLESS
 from surg_core.contract import GRID, image_key
 from surg_policy_bridge.server.model_server import ServerState
 from surg_sim.envs.cell_session import CellSession, Tick
@@ -251,8 +252,7 @@ def _end_of(program: subprocess.Popen[bytes] | None, folder: Path) -> str:
     if code is None:
         return ""
     how = f"was killed by signal {-code}" if code < 0 else f"ended ({code})"
-    nothing = "it printed nothing; ./surg policy new NAME writes one that connects"
-    return f"its program {how}: {shut_in.last_words(folder) or nothing}"
+    return f"its program {how}: {shut_in.last_words(folder) or WORDLESS}"
 
 
 def _served(policy: WirePolicy) -> list[dict[str, Any]]:

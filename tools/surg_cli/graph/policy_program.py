@@ -17,6 +17,8 @@ from surg_cli.host.terminal import CliError
 CLIENT = "policy_client"
 LAST_LINES = 5
 """Lines of a dead program that are shown."""
+WORDLESS = "it printed nothing; ./surg policy new NAME writes one that connects"
+"""What is said of a program that ends without a word."""
 FAILED = "the policy failed: "
 """What a client's farewell says of an exception, before the exception."""
 CLIENT_TIMEOUT_S = 120.0
@@ -86,10 +88,9 @@ def connect(
 
     def missing() -> list[str]:
         if client is not None and client.exit_code is not None:
-            nothing = "it printed nothing; ./surg policy new NAME writes one that connects"
             raise ProgramDied(
                 f"the policy's program ended ({client.exit_code}) before it had connected:\n"
-                f"{client.log_tail(LAST_LINES) or nothing}"
+                f"{client.log_tail(LAST_LINES) or WORDLESS}"
             )
         return [] if watch.policy.waiting else [waited_for]
 
